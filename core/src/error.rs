@@ -281,6 +281,15 @@ pub enum ObserveError {
         /// Seconds of the longest step in this scene.
         longest_s: f32,
     },
+    /// The time step is shorter than [`SHORTEST_STEP_S`](crate::SHORTEST_STEP_S), or for models of soft bodies than
+    /// [`SHORTEST_SOFT_STEP_S`](crate::SHORTEST_SOFT_STEP_S).
+    #[error("steps of {dt_s} s are too short for this model; take steps of {shortest_s} s or more")]
+    ShortTimestep {
+        /// Seconds of the step.
+        dt_s: f32,
+        /// Seconds of the shortest step.
+        shortest_s: f32,
+    },
 }
 
 /// Why a change of the scene was refused; the scene is what it was.

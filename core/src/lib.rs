@@ -73,7 +73,8 @@ pub use error::{
 pub use kernels::{Kernels, Native, Portable, Schedule, Serial};
 pub use limits::{
     ANCHORS, Layout, Limits, MAX_BLOCKS, MAX_COMMAND, MAX_COORDINATE_M, MAX_DRIVEN_M_S, MAX_PIECES,
-    MAX_PLANES, MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, Tiles,
+    MAX_PLANES, MAX_SCALES, MAX_SUB_STEPS, POOL_LEVELS, SHORTEST_SOFT_STEP_S, SHORTEST_STEP_S,
+    Tiles,
 };
 pub use model::Model;
 pub use nalgebra;

@@ -2,7 +2,7 @@
 
 use crate::contact::ground::Plane;
 use crate::contact::pieces::{self, Piece, Pieces};
-use crate::geometry::{POSE, Pose, norm, product, product_transposed, read_pose};
+use crate::geometry::{Course, Pose, State, norm, rotate, turn_between};
 use crate::limits::{ANCHORS, MAX_PLANES};
 use crate::math;
 use crate::measure::Measure;
@@ -227,8 +227,9 @@ pub struct UnitSlot {
     /// Pose in the first frame, which the offset feature refers to; of models of robots the frame of the heading,
     /// from which they see all.
     pub(crate) first: Pose,
-    pub(crate) previous: Pose,
     pub(crate) current: Pose,
+    /// What the current pose leaves out, and the motion in the last substep.
+    pub(crate) course: Course,
     /// Where a driven unit goes in the next step.
     pub(crate) target: Pose,
     /// One more than the contacts of a unit that the last step left as it was to the bit, with all that it can touch; 0 of others.
@@ -244,11 +245,14 @@ pub(crate) struct SoftInputs {
     pub(crate) changes: [Vector3<f32>; 2],
 }
 
-/// Where a unit comes from and goes to in a step, but for what gravity adds.
+/// The motion of a unit in a step, but for what gravity adds.
+#[cfg(feature = "health")]
 #[derive(Clone, Copy)]
-pub(crate) struct Coming<'u> {
-    pub(crate) from: &'u Pose,
-    pub(crate) to: &'u Pose,
+pub(crate) struct Coming {
+    /// Of the centre, metres.
+    pub(crate) way: Vector3<f32>,
+    /// What the step adds to the rotation.
+    pub(crate) change: Matrix3<f32>,
 }
 
 impl UnitSlot {
@@ -285,8 +289,8 @@ impl UnitSlot {
             hull_start: 0,
             inertia_m2: zero,
             first: nowhere,
-            previous: nowhere,
             current: nowhere,
+            course: Course::REST,
             target: nowhere,
             #[cfg(rigidformer_host)]
             still: 0,
@@ -377,54 +381,84 @@ impl UnitSlot {
         if self.is_quarantined() { Role::Free } else { self.role }
     }
 
-    /// Whether its caller moves it.
-    pub(crate) fn is_driven(&self) -> bool {
-        self.role == Role::Driven
-    }
-
     /// 1 / mass, kg^-1; 0 where nothing moves the unit.
     pub(crate) fn lightness(&self) -> f32 {
         if self.is_free() { 1.0 / self.mass } else { 0.0 }
     }
 
-    /// Ends a step: `row` has the pose that it goes to, and, if another follows, the one that counts as previous then.
+    /// Where it is and how it moves.
+    #[inline(always)]
+    pub(crate) fn state(&self) -> State {
+        State { pose: self.current, course: self.course }
+    }
+
+    /// Ends a step: `row` has the state that it goes to.
     #[inline(always)]
     pub(crate) fn go_to(&mut self, row: &[f32]) {
-        let (next, before) = row.split_at(POSE.min(row.len()));
         // Nothing that is done to all units may move it.
         if self.is_quarantined() {
-            self.previous = self.current;
+            self.course = self.course.moving(Vector3::zeros(), Vector3::zeros());
             return;
         }
+        let next = State::read(row);
         #[cfg(rigidformer_host)]
-        let was = [self.previous, self.current];
-        self.previous = if before.is_empty() { self.current } else { read_pose(before) };
-        self.current = read_pose(next);
-        #[cfg(rigidformer_host)]
-        {
-            let mut now = [&self.previous, &self.current].into_iter().zip(&was);
-            let is_left = now.all(|(now, was)| now.has_bits_of(was));
-            self.still = if is_left { self.still.max(1) } else { 0 };
+        (self.still = if next.has_bits_of(&self.state()) { self.still.max(1) } else { 0 });
+        (self.current, self.course) = (next.pose, next.course);
+    }
+
+    /// Where a free unit goes without contact: ballistic centre, the last step's rotation again. `fall` is what gravity adds
+    /// to a step's way, metres.
+    pub(crate) fn free(&self, fall: &Vector3<f32>) -> State {
+        self.state().free(fall)
+    }
+
+    /// Where it stays, without motion.
+    pub(crate) fn resting(&self) -> State {
+        let course = self.course.moving(Vector3::zeros(), Vector3::zeros());
+        State { pose: self.current, course }
+    }
+
+    /// Where its caller takes it in the next step.
+    pub(crate) fn driven(&self) -> State {
+        let turn = turn_between(&self.current.rotation, &self.target.rotation);
+        let course = Course::REST.moving(self.way_to_target(), turn);
+        State { pose: self.target, course }
+    }
+
+    /// From where a driven unit is to where it goes, metres.
+    fn way_to_target(&self) -> Vector3<f32> {
+        self.target.centre - self.current.centre
+    }
+
+    /// The turn of the next step, but for what contact adds: the last step's once more, the command, or none. Radians.
+    pub(crate) fn coming_turn(&self) -> Vector3<f32> {
+        match self.role {
+            Role::Free => self.course.turn(),
+            Role::Driven => turn_between(&self.current.rotation, &self.target.rotation),
+            Role::Fixed => Vector3::zeros(),
         }
     }
 
-    /// Motion of a free unit without contact: ballistic centre, the last step's rotation again. `fall` is what gravity adds
-    /// to a step's way, metres.
-    pub(crate) fn free(&self, fall: &Vector3<f32>) -> Pose {
-        let (now, before) = (&self.current, &self.previous);
-        Pose {
-            rotation: product(&product_transposed(&now.rotation, &before.rotation), &now.rotation),
-            centre: (now.centre + (now.centre - before.centre)) + fall,
+    /// As [`coming_turn`](Self::coming_turn), the way of a local point; but for what gravity adds. Metres.
+    pub(crate) fn coming_way(&self, local: &Vector3<f32>) -> Vector3<f32> {
+        match self.role {
+            // No network has said yet that it changes.
+            Role::Free => self.course.way_at(&rotate(&self.current.rotation, local)),
+            Role::Driven => self.target.displacement_from(&self.current, local),
+            Role::Fixed => Vector3::zeros(),
         }
     }
 
     /// The motion of the next step, but for what gravity adds: the last step's once more, the command, or none.
-    pub(crate) fn coming(&self) -> Coming<'_> {
+    #[cfg(feature = "health")]
+    pub(crate) fn coming(&self) -> Coming {
         match self.role {
-            // No network has said yet that it changes.
-            Role::Free => Coming { from: &self.previous, to: &self.current },
-            Role::Driven => Coming { from: &self.current, to: &self.target },
-            Role::Fixed => Coming { from: &self.current, to: &self.current },
+            Role::Free => Coming { way: self.course.way, change: self.state().turned_by() },
+            Role::Driven => Coming {
+                way: self.way_to_target(),
+                change: self.target.rotation - self.current.rotation,
+            },
+            Role::Fixed => Coming { way: Vector3::zeros(), change: Matrix3::zeros() },
         }
     }
 }
@@ -442,13 +476,6 @@ pub(crate) fn members(
         at = unit.next_member().filter(|next| *next != cluster_root);
         Some((number, unit))
     })
-}
-
-impl Coming<'_> {
-    /// Displacement of a local point, metres a step.
-    pub(crate) fn displacement(&self, local: &Vector3<f32>) -> Vector3<f32> {
-        self.to.displacement_from(self.from, local)
-    }
 }
 
 /// The state of a rollout: units of one scene, or of several copies of it.
@@ -573,7 +600,7 @@ impl Scene<'_> {
             return self.soft.increment(unit.start + number);
         }
         let _ = number;
-        unit.coming().displacement(local)
+        unit.coming_way(local)
     }
 
     /// How far a point of a soft unit is from where it would be if the unit were rigid; nothing for rigid units.
@@ -634,8 +661,8 @@ impl Scene<'_> {
     /// units, and what stands still rises. Metres.
     pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {
         match unit.role {
-            Role::Free => unit.current.centre - unit.previous.centre,
-            Role::Driven => (unit.target.centre - unit.current.centre) - self.fall(),
+            Role::Free => unit.course.way,
+            Role::Driven => unit.way_to_target() - self.fall(),
             Role::Fixed => Vector3::zeros() - self.fall(),
         }
     }

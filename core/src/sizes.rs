@@ -93,8 +93,6 @@ pub(crate) struct Sizes {
     pub(crate) solved: usize,
     /// 1 where the network sees some of the units, else 0.
     pub(crate) near: usize,
-    /// Poses that a step takes a unit to: the next one, and by impulses the previous one beside it.
-    pub(crate) poses: usize,
     pub(crate) query: usize,
     /// Inputs and hidden channels of the network of bonds; 0 for models without.
     pub(crate) bonds: [usize; 2],
@@ -213,7 +211,6 @@ impl Sizes {
                 0
             },
             near,
-            poses: if c.motion.has_impulses() || soft { 2 } else { 1 },
             query,
             bonds,
             widest,

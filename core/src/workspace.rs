@@ -1,6 +1,6 @@
 //! Every buffer, named and carved once from the caller's slab. There is room for all units; rows are those that the network sees in a step (`present`).
 
-pub(crate) use crate::geometry::POSE;
+use crate::geometry::STATE;
 use crate::limits::ANCHORS;
 use crate::quant::Scratch;
 use crate::sizes::Sizes;
@@ -140,12 +140,12 @@ buffers! { |s|
         command_inputs = [s.copies, s.command];
         /// (scales, units of all copies, 2 inner) keys and values of the units at each scale.
         keys_values = [s.scales, s.units, 2, s.inner];
-        /// (units, poses) where the step under way takes units, and by impulses the poses that count as previous then.
-        next = [s.units, s.poses, POSE];
+        /// (units, [`STATE`]) where the step under way takes units.
+        next = [s.units, STATE];
         /// (copies, units of a copy): motion by impulses, then what that was worked out in; behind all, room for bonds.
         solved = [s.units, s.solved];
-        /// (units, previous, current and target) of a step in substeps, where it began.
-        start = [s.substepped, s.units, 3, POSE];
+        /// (units, [`STATE`] and target) of a step in substeps, where it began.
+        start = [s.substepped, s.units, crate::simulator::START];
         /// State and scratch of soft bodies.
         soft = [s.soft];
         /// (copies, 3) of a step in substeps: active and degenerate units so far, one more than the unit that failed or 0.

@@ -125,9 +125,9 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadSoft { unit } => Self::of(RF_ERROR_BAD_SOFT).at(unit),
             #[cfg(feature = "deform")]
             ObserveError::SoftPose { unit } => Self::of(RF_ERROR_SOFT_POSE).at(unit),
-            ObserveError::BadTimestep | ObserveError::LongTimestep { .. } => {
-                Self::of(RF_ERROR_BAD_TIMESTEP)
-            }
+            ObserveError::BadTimestep
+            | ObserveError::LongTimestep { .. }
+            | ObserveError::ShortTimestep { .. } => Self::of(RF_ERROR_BAD_TIMESTEP),
             // One count of units and one of points serve both frames here.
             _ => Self::of(RF_ERROR_OTHER),
         }

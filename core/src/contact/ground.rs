@@ -83,7 +83,6 @@ impl Plane {
     }
 
     /// How far `next` has to rise so that it takes no point of the hull below the plane, or deeper below it than `now`, metres.
-    #[cfg(feature = "deform")]
     pub(crate) fn lift_m(
         &self,
         points: &[nalgebra::Point3<f32>],
@@ -93,20 +92,6 @@ impl Plane {
     ) -> f32 {
         let after = self.depth_m(points, radius, next);
         if after > 0.0 { (after - self.depth_m(points, radius, now)).max(0.0) } else { 0.0 }
-    }
-
-    /// The pose `next`, lifted where it takes a point of the hull below the plane, or deeper below it than `now`.
-    pub(crate) fn lift(
-        &self,
-        points: &[nalgebra::Point3<f32>],
-        radius: f32,
-        now: &Pose,
-        next: &mut Pose,
-    ) {
-        let after = self.depth_m(points, radius, next);
-        if after > 0.0 {
-            next.centre += self.normal * (after - self.depth_m(points, radius, now)).max(0.0);
-        }
     }
 }
 

@@ -3,13 +3,13 @@
 
 use crate::contact::ground::Plane;
 use crate::geometry::{
-    Hull, Precision, Separation, dot, norm, opposite, product, product_transposed, radius, rotate,
+    Hull, Precision, Separation, dot, half_turn, norm, opposite, product, radius, rotate,
     rotate_back, separation,
 };
 use crate::limits::ANCHORS;
 use crate::measure::Measure;
 use crate::network::features::{CLAMP, GAP_CLAMP_M, Row};
-use crate::scene::{Coming, Physics, Scene, Unit, UnitSlot};
+use crate::scene::{Physics, Scene, Unit, UnitSlot};
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_weights::{IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS};
 
@@ -23,8 +23,6 @@ const ADVANCES: usize = 8;
 const TOUCH_M: f32 = 1e-3;
 /// A gap above this at the end of the advances is no impact, metres: the search has stopped short of one.
 const TOUCHING_M: f32 = 0.02;
-/// Turns count as smaller ones from 162 degrees on: half a turn has no Rodrigues parameters.
-const LEAST_TRACE: f32 = 0.1;
 /// Least moment of inertia of a kilogram, m^2: points on a line have none, and an impulse would spin them without bound.
 const LEAST_INERTIA_M2: f32 = 1e-6;
 /// Slower sliding has no direction, square of m/s: a division by it would turn rounding into friction.
@@ -65,14 +63,10 @@ struct Flight<'s> {
 impl<'s> Flight<'s> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn new(scene: &'s Scene<'_>, unit: &'s UnitSlot) -> Self {
-        let Coming { from, to } = unit.coming();
-        let turn = product_transposed(&to.rotation, &from.rotation);
-        let skew = Vector3::new(turn.m32 - turn.m23, turn.m13 - turn.m31, turn.m21 - turn.m12);
-        let trace = 1.0 + ((turn.m11 + turn.m22) + turn.m33);
         Flight {
             unit,
             travel: scene.travel(unit),
-            half: skew / trace.max(LEAST_TRACE),
+            half: half_turn(&unit.coming_turn()),
             hull: Hull { points: scene.hull_of(unit), rotation: unit.current.rotation },
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::contact::impacts;
 use crate::contact::solver;
-use crate::geometry::{POSE, Pose, read_pose};
+use crate::geometry::{STATE, State, rotate};
 use crate::kernels::Schedule;
 use crate::network::features::{CLAMP, Row};
 use crate::scene::Scene;
@@ -18,9 +18,7 @@ const SOLVED_COST: usize = 128 << 10;
 /// What impulses make of a unit's step.
 pub(crate) struct Solved {
     /// After the step.
-    pub(crate) next: Pose,
-    /// What counts as the pose before it then.
-    pub(crate) before: Pose,
+    pub(crate) next: State,
     /// How much a correction of 1 is, m/s: what contact changed; 0: nothing touches the unit; below 0: it rests.
     pub(crate) share: f32,
 }
@@ -81,14 +79,13 @@ fn start(scene: &Scene<'_>, index: usize) -> usize {
 
 /// [`Solved::share`] of a unit, from the buffer of [`solve`].
 pub(crate) fn share(scene: &Scene<'_>, index: usize, all: &[f32]) -> f32 {
-    *slice_at(all, start(scene, index) + 2 * POSE, 1).first().unwrap_or(&0.0)
+    *slice_at(all, start(scene, index) + STATE, 1).first().unwrap_or(&0.0)
 }
 
 /// What impulses make of a unit's step, from the buffer of [`solve`].
 pub(crate) fn solved(scene: &Scene<'_>, index: usize, all: &[f32]) -> Solved {
     let (start, share) = (start(scene, index), share(scene, index, all));
-    let [next, before] = [start, start + POSE].map(|start| read_pose(slice_at(all, start, POSE)));
-    Solved { next, before, share }
+    Solved { next: State::read(slice_at(all, start, STATE)), share }
 }
 
 /// Puts what impulses change of the anchors' ways and velocities (m/s) into a unit's record of impacts, in place of what
@@ -99,9 +96,10 @@ pub(crate) fn push(scene: &Scene<'_>, index: usize, solved: &Solved, record: &mu
     let free = unit.free(&scene.fall());
     for (anchor, row) in scene.anchors_of(unit).iter().zip(impacts::pushes_mut(record)) {
         let way = solved.next.displacement_from(&free, anchor);
-        let earlier = solved.before.displacement_from(&unit.current, anchor);
+        let [now, freely] = [&solved.next, &free]
+            .map(|state| state.course.way_at(&rotate(&state.pose.rotation, anchor)));
         let mut row = Row::new(row);
-        for change in [way, way - earlier] {
+        for change in [way, now - freely] {
             row.vector((change / scene.dt).map(|v| v.clamp(-CLAMP, CLAMP)));
         }
     }

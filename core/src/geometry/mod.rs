@@ -12,6 +12,7 @@ mod jacobi;
 mod points;
 mod pose;
 mod separation;
+mod state;
 
 #[cfg(any(feature = "deform", feature = "health"))]
 pub(crate) use extreme_points::felt_directions;
@@ -32,6 +33,7 @@ pub(crate) use pose::{
     turn_between, turned, turned_by, write_pose,
 };
 pub(crate) use separation::{Hull, Precision, Separation, separation};
+pub(crate) use state::{COURSE, Course, STATE, State, half_turn, squared};
 
 use nalgebra::Vector3;
 

@@ -1,7 +1,6 @@
 //! A unit's rotation and centre, and its conversions to nalgebra's isometry.
 
 use super::dot;
-use crate::limits::MAX_COORDINATE_M;
 use crate::math;
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
@@ -35,12 +34,6 @@ impl Pose {
             row.map(f32::to_bits)
         };
         numbers(self) == numbers(other)
-    }
-
-    /// Whether it is finite and near enough. A number that is not finite, in an anchor or in the rotation, leaves none in
-    /// the centre: it is in the sums.
-    pub(crate) fn is_somewhere(&self) -> bool {
-        self.centre.iter().all(|v| v.abs() <= MAX_COORDINATE_M)
     }
 
     /// World position of a local point.
@@ -225,7 +218,7 @@ pub(crate) fn swing(turn: &Vector3<f32>, lever: &Vector3<f32>) -> Vector3<f32> {
 
 /// How much of a turn once and twice across a vector is how far it takes that.
 #[inline(always)]
-fn shares(turn: &Vector3<f32>) -> (f32, f32) {
+pub(super) fn shares(turn: &Vector3<f32>) -> (f32, f32) {
     let angle = math::sqrt(dot(turn, turn));
     let is_small = angle < SMALL_RAD;
     // By half of the angle: 1 - cos has no digits left where the turn is small.

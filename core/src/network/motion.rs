@@ -1,12 +1,14 @@
 //! Integration: the coming motion, which units may leave it, and Verlet (docs/MODEL.md, section 6).
 
-use crate::contact::prior::Solved;
-use crate::geometry::Pose;
+use crate::geometry::{Pose, State, rotate};
 use crate::limits::ANCHORS;
 use crate::scene::{Scene, UnitSlot};
 use crate::structure::heading;
 use nalgebra::Vector3;
 use rigidformer_weights::{ModelConfig, Motion};
+
+/// Of a radius: what a fit may be off.
+const ROUNDING: f32 = 4.0 * f32::EPSILON;
 
 /// Whether a free unit may touch anything within the step, by bounding spheres.
 fn may_touch(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> bool {
@@ -18,29 +20,36 @@ fn may_touch(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> bool {
             .any(|(_, other)| scene.room_to_unit((unit, &travel), other) < 0.0)
 }
 
-/// Lifts a pose that takes a point of the unit's hull below a plane, or deeper below it than one is now. Units of
+/// How far planes lift a unit at a pose that takes a point of its hull below them, or deeper below than one is now, metres. Units of
 /// models that keep no hulls are not lifted.
-pub(crate) fn lift_above_planes(scene: &Scene<'_>, unit: &UnitSlot, pose: &mut Pose) {
+pub(crate) fn lift_above_planes(scene: &Scene<'_>, unit: &UnitSlot, pose: &Pose) -> Vector3<f32> {
     let points = scene.hull_of(unit);
+    let mut lift = Vector3::zeros();
     for plane in &scene.planes {
-        plane.lift(points, unit.radius, &unit.current, pose);
+        let next = Pose { centre: pose.centre + lift, ..*pose };
+        lift += plane.normal * plane.lift_m(points, unit.radius, &unit.current, &next);
     }
+    lift
 }
 
 /// Where a free unit's anchors go by the network and by impulses, before the projection, and where they are to have been
-/// before: `out` is the head's output for it (anchors, 6). The last value tells whether the prediction was used.
+/// before: each from the centre of its pose. `out` is the head's output for it (anchors, 6). The last value tells whether the
+/// prediction was used.
 pub(crate) fn correct(
     config: &ModelConfig,
     scene: &Scene<'_>,
-    (unit, solved): (&UnitSlot, &Solved),
+    anchors: &[Vector3<f32>; ANCHORS],
+    (next, before): (&State, &Pose),
+    (share, radius): (f32, f32),
     out: &[f32],
 ) -> ([[Vector3<f32>; ANCHORS]; 2], bool) {
-    let anchors = scene.anchors_of(unit);
-    let mut places = [&solved.next, &solved.before].map(|pose| anchors.map(|a| pose.apply(&a)));
-    // 0 where nothing touches the unit, whose free motion is exact; below 0 where it rests.
-    let active = solved.share > 0.0;
+    let mut places = [&next.pose, before].map(|pose| anchors.map(|a| rotate(&pose.rotation, &a)));
+    let scale = config.output_scale * share * scene.dt;
+    // 0 where nothing touches the unit, whose free motion is exact; below 0 where it rests. Of corrections that are less than the
+    // fit rounds, rounding alone would come.
+    let most = out.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
+    let active = share > 0.0 && most * scale > ROUNDING * radius;
     if active {
-        let scale = config.output_scale * solved.share * scene.dt;
         let [next, before] = &mut places;
         for ((next, before), row) in next.iter_mut().zip(before).zip(out.as_chunks::<6>().0) {
             let [x, y, z, u, v, w] = row;
@@ -53,15 +62,24 @@ pub(crate) fn correct(
     (places, active)
 }
 
-/// Where a free unit's anchors go, before the projection: `out` is the head's output for it
-/// (anchors, 3). The second value tells whether the prediction was used.
+/// Where a unit's anchors go.
+pub(crate) struct Advanced {
+    /// From the unit's centre now, before the projection, metres.
+    pub(crate) places: [Vector3<f32>; ANCHORS],
+    /// Whether the prediction was used.
+    pub(crate) active: bool,
+    /// Where the unit goes without it, where that is known exactly.
+    pub(crate) free: Option<State>,
+}
+
+/// Where a free unit's anchors go: `out` is the head's output for it (anchors, 3).
 pub(crate) fn advance(
     config: &ModelConfig,
     scene: &Scene<'_>,
     index: usize,
     unit: &UnitSlot,
     out: &[f32],
-) -> ([Vector3<f32>; ANCHORS], bool) {
+) -> Advanced {
     let (dt, scale) = (scene.dt, config.output_scale);
     let mut predicted = [Vector3::zeros(); ANCHORS];
     for (p, row) in predicted.iter_mut().zip(out.chunks_exact(3)) {
@@ -70,31 +88,32 @@ pub(crate) fn advance(
         }
     }
     let anchors = scene.anchors_of(unit);
-    let mut advanced = anchors;
+    let mut places = anchors;
     // Robots go on as their heaviest link does, and the network adds to that.
     if heading::is_robot(config) {
-        let pose = heading::pose_with_leader(scene, index, unit);
-        for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
+        let pose = heading::motion_with_leader(scene, index, unit);
+        for ((a, local), u) in places.iter_mut().zip(&anchors).zip(&predicted) {
             *a = pose.apply(local) + heading::outward(unit, &(u * dt));
         }
-        return (advanced, true);
+        return Advanced { places, active: true, free: None };
     }
     // These models correct free motion, which is exact where nothing is near.
     if config.motion == Motion::Free {
         let active = !config.gate || may_touch(scene, index, unit);
         let free = unit.free(&scene.fall());
-        for ((a, local), u) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
-            *a = free.apply(local);
+        let way = free.course.way;
+        for ((a, local), u) in places.iter_mut().zip(&anchors).zip(&predicted) {
+            *a = rotate(&free.pose.rotation, local) + way;
             if active {
                 *a += u * dt;
             }
         }
-        return (advanced, active);
+        return Advanced { places, active, free: Some(free) };
     }
     // The paper's own motion: Verlet with the predicted acceleration.
-    for ((a, local), acceleration) in advanced.iter_mut().zip(&anchors).zip(&predicted) {
-        let now = unit.current.apply(local);
-        *a = (now + (now - unit.previous.apply(local))) + acceleration * (dt * dt);
+    for ((a, local), acceleration) in places.iter_mut().zip(&anchors).zip(&predicted) {
+        let lever = rotate(&unit.current.rotation, local);
+        *a = (lever + unit.course.way_at(&lever)) + acceleration * (dt * dt);
     }
-    (advanced, true)
+    Advanced { places, active: true, free: None }
 }

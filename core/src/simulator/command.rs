@@ -5,7 +5,6 @@ use super::observe::check_pose;
 use super::state::Simulator;
 use crate::contact::ground::Plane;
 use crate::error::{CommandError, EditError, ObserveError};
-use crate::geometry::Pose;
 use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
@@ -52,17 +51,23 @@ impl Simulator<'_, '_> {
         room.taken()?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
+        let place = current.translation.vector;
         let is_held = |other: &UnitSlot| other.given_role() != Role::Free;
         let is_first = unit.role == Role::Free && self.scene.units().iter().all(is_held);
         if is_similar(self.model.config()) && (number == 0 || is_first) {
             let mut census = Census::default();
             census.take(self.model.config(), unit);
-            let (measure, time) = self.measured(self.given.dt_s, &census)?;
+            let (measure, time) = self.measured(self.given.dt_s, &census, &place)?;
+            // Only the first unit moves the origin.
+            let origin = if number == 0 { measure } else { self.scene.measure }.origin();
+            let measure = measure.from(origin);
             // There is no free unit for gravity to matter to.
             self.retime(&time, &Vector3::zeros())?;
             self.rescale(&measure);
             self.set_measure(measure);
             self.set_time(time);
+        } else if number == 0 {
+            self.set_measure(self.about(&self.scene.measure, &place));
         }
         Ok(self.add_posed(unit, previous, current))
     }
@@ -133,7 +138,7 @@ impl Simulator<'_, '_> {
             return Err(EditError::NotDriven { id });
         }
         check_pose(number, pose)?;
-        let target = measure.inward(&Pose::from_isometry(pose, &unit.offset));
+        let target = measure.inward_isometry(pose, &unit.offset);
         let way_m = (target.centre - unit.current.centre) * measure.length();
         if dt_s > 0.0 && way_m.amax() > MAX_DRIVEN_M_S * dt_s {
             return Err(EditError::Jump { id, limit_m_s: MAX_DRIVEN_M_S });
@@ -187,11 +192,11 @@ impl Simulator<'_, '_> {
         check_pose(number, previous)?;
         check_pose(number, current)?;
         let (role, offset) = (unit.given_role(), unit.offset);
-        let pose = |isometry| measure.inward(&Pose::from_isometry(isometry, &offset));
+        let pose = |isometry| measure.inward_isometry(isometry, &offset);
         let (previous, current) = (pose(previous), pose(current));
-        let previous = self.scene.substep_ago(role, &current, &previous);
+        let course = self.scene.course_between(role, &previous, &current);
         let (unit, _) = self.slot(copy, id)?;
-        (unit.previous, unit.current, unit.target) = (previous, current, current);
+        (unit.current, unit.course, unit.target) = (current, course, current);
         unit.set_quarantine(Quarantine::None, role);
         self.forget_still();
         Ok(())
@@ -313,12 +318,11 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes the time that a step takes, seconds. Units keep their velocities and spins, as far as two poses can say
-    /// them: a turn of more than half a revolution in a step is one of less, the other way.
+    /// Changes the time that a step takes, seconds. Units keep their velocities and spins.
     ///
     /// # Errors
-    /// [`ObserveError::BadTimestep`] or [`ObserveError::LongTimestep`], as an [`EditError`], also where a unit would come
-    /// from beyond the largest coordinate; the scene is what it was.
+    /// [`ObserveError::BadTimestep`], [`ObserveError::LongTimestep`] or [`ObserveError::ShortTimestep`], as an [`EditError`], also
+    /// where a unit would come from beyond the largest coordinate; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
         in_own_environment(|| self.set_dt_here(dt_s))
     }
@@ -326,7 +330,7 @@ impl Simulator<'_, '_> {
     fn set_dt_here(&mut self, dt_s: f32) -> Result<(), EditError> {
         if is_similar(self.model.config()) && self.scene.count == 0 {
             // Its measure is that of the unit to come.
-            check_dt(dt_s)?;
+            check_dt(dt_s, self.model.config())?;
             self.given.dt_s = dt_s;
             return Ok(());
         }

@@ -237,12 +237,11 @@ impl Simulator<'_, '_> {
     fn quantities_of(&self, unit: &UnitSlot) -> [f32; Quantity::COUNT] {
         let scene = &self.scene;
         let coming = unit.coming();
-        let (from, to) = (coming.from, coming.to);
         let points = scene.points_of(unit);
         let form = Form::of(points, unit.radius);
         [
-            norm(&(to.centre - from.centre)) / scene.dt,
-            chord(&(to.rotation - from.rotation)) / scene.dt,
+            norm(&coming.way) / scene.dt,
+            chord(&coming.change) / scene.dt,
             math::ln(unit.radius),
             form.thickness,
             unit.ln_mass,

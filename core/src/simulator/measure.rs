@@ -3,10 +3,11 @@
 use super::state::Simulator;
 use crate::error::ObserveError;
 use crate::geometry::norm;
-use crate::limits::MAX_SUB_STEPS;
+use crate::limits::{MAX_SUB_STEPS, SHORTEST_SOFT_STEP_S, SHORTEST_STEP_S};
 use crate::math;
 use crate::measure::{Measure, Pace, is_similar};
 use crate::scene::{Physics, Role, Unit};
+use crate::structure::heading::is_robot;
 use nalgebra::{Point3, Vector3};
 use rigidformer_weights::ModelConfig;
 
@@ -99,6 +100,7 @@ impl Time {
         if ![given_s, dt_s, code].iter().all(|time| positive.contains(time)) {
             return Err(ObserveError::BadTimestep);
         }
+        check_dt(given_s, config)?;
         let whole = if code < 4_194_304.0 { (code + math::SHIFT) - math::SHIFT } else { code };
         let is_whole = whole >= 1.0 && (code - whole).abs() <= whole * WHOLE;
         let (dt_s, step_code) =
@@ -134,24 +136,37 @@ impl Time {
     }
 }
 
-/// Whether a time step is a finite time.
-pub(super) fn check_dt(dt_s: f32) -> Result<(), ObserveError> {
-    match (f32::MIN_POSITIVE..=f32::MAX).contains(&dt_s) {
-        true => Ok(()),
-        false => Err(ObserveError::BadTimestep),
+/// Whether a time step is a finite time that is long enough for a model.
+pub(super) fn check_dt(dt_s: f32, config: &ModelConfig) -> Result<(), ObserveError> {
+    if !(f32::MIN_POSITIVE..=f32::MAX).contains(&dt_s) {
+        return Err(ObserveError::BadTimestep);
+    }
+    let is_soft = cfg!(feature = "deform") && config.motion.is_soft();
+    let shortest_s = if is_soft { SHORTEST_SOFT_STEP_S } else { SHORTEST_STEP_S };
+    match dt_s < shortest_s {
+        true => Err(ObserveError::ShortTimestep { dt_s, shortest_s }),
+        false => Ok(()),
     }
 }
 
 impl Simulator<'_, '_> {
-    /// A time step in a scene of such units.
+    /// A time step in a scene of such units, the first of which is about a place.
     pub(super) fn measured(
         &self,
         dt_s: f32,
         census: &Census,
+        place: &Vector3<f32>,
     ) -> Result<(Measure, Time), ObserveError> {
         let config = self.model.config();
-        let measure = census.measure(config);
+        let measure = self.about(&census.measure(config), place);
         Ok((measure, Time::new(dt_s, &measure, &self.given.gravity, config)?))
+    }
+
+    /// A measure with the origin for units about a place.
+    pub(super) fn about(&self, measure: &Measure, place: &Vector3<f32>) -> Measure {
+        // Points of soft bodies and the ground of robots are where the world has them.
+        let keeps = self.sizes.is_soft() || is_robot(self.model.config());
+        if keeps { measure.from(Vector3::zeros()) } else { measure.about(place) }
     }
 
     /// Measures planes and gravity by another measure.
@@ -161,7 +176,7 @@ impl Simulator<'_, '_> {
         scene.measure = measure;
         scene.planes.clone_from(&given.planes);
         for plane in &mut scene.planes {
-            plane.offset_m /= measure.length();
+            plane.offset_m = measure.inward_offset(&plane.normal, plane.offset_m);
         }
         scene.gravity =
             given.gravity * Pace::new(model.config(), &measure, &given.gravity).gravity_factor;

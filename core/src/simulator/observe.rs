@@ -18,7 +18,7 @@ use crate::scene::{Quarantine, Unit, UnitId, UnitSlot};
 use crate::slices::slice_at_mut;
 use crate::stand_in::OfHealth;
 use core::borrow::Borrow;
-use nalgebra::{Isometry3, Matrix3, Point3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 /// A unit seen in two frames: `unit.points` are its points in the previous frame (world, metres).
 #[derive(Clone, Copy, Debug)]
@@ -71,13 +71,17 @@ impl Simulator<'_, '_> {
     where
         I: IntoIterator<Item: Borrow<Observed<'a>>, IntoIter: Clone>,
     {
-        check_dt(dt_s)?;
+        check_dt(dt_s, self.model.config())?;
         let units = units.into_iter();
         let (mut room, mut census) = (self.room(), Census::default());
+        let mut place = Vector3::zeros();
         for (number, seen) in units.clone().enumerate() {
             let Observed { unit, current } = seen.borrow();
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
+            if let Some(first) = current.first().filter(|_| number == 0) {
+                place = first.coords;
+            }
             #[cfg(feature = "deform")]
             crate::structure::soft::check(&self.model.config().elastic, number, unit)?;
             if unit.points.len() != current.len() {
@@ -88,7 +92,7 @@ impl Simulator<'_, '_> {
             check_extent(number, current)?;
         }
         room.taken()?;
-        self.begin(self.measured(dt_s, &census)?);
+        self.begin(self.measured(dt_s, &census, &place)?);
         let mut observation = Observation::default();
         for seen in units {
             let Observed { unit, current } = seen.borrow();
@@ -103,7 +107,9 @@ impl Simulator<'_, '_> {
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
             let offset = self.centre(unit);
             let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
-            self.add_checked(unit, &offset, &first, &fit.pose_at(&offset.coords));
+            let poses = [&first, &fit.pose_at(&offset.coords)];
+            let poses = poses.map(|pose| self.scene.measure.inward(pose));
+            self.add_checked(unit, &offset, poses);
         }
         self.bind(0);
         Ok(observation)
@@ -128,11 +134,15 @@ impl Simulator<'_, '_> {
     where
         I: IntoIterator<Item: Borrow<Posed<'a>>, IntoIter: Clone>,
     {
-        check_dt(dt_s)?;
+        check_dt(dt_s, self.model.config())?;
         let units = units.into_iter();
         let (mut room, mut census) = (self.room(), Census::default());
+        let mut place = Vector3::zeros();
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
+            if number == 0 {
+                place = current.translation.vector;
+            }
             #[cfg(feature = "deform")]
             if unit.soft.is_some() {
                 return Err(ObserveError::SoftPose { unit: number });
@@ -143,7 +153,7 @@ impl Simulator<'_, '_> {
             check_pose(number, current)?;
         }
         room.taken()?;
-        self.begin(self.measured(dt_s, &census)?);
+        self.begin(self.measured(dt_s, &census, &place)?);
         for seen in units {
             let Posed { unit, previous, current } = seen.borrow();
             self.add_posed(unit, previous, current);
@@ -197,7 +207,8 @@ impl Simulator<'_, '_> {
             [unit.points, current],
         );
         let pose = Pose::default();
-        self.add_checked(&at_rest, &offset, &pose, &pose);
+        let pose = self.scene.measure.inward(&pose);
+        self.add_checked(&at_rest, &offset, [pose; 2]);
         let number = self.scene.per_copy.saturating_sub(1);
         if let Some(slot) = self.scene.units_mut().get_mut(number) {
             slot.is_patch = true;
@@ -232,9 +243,10 @@ impl Simulator<'_, '_> {
         let share = self.scene.measure.length() / measure.length();
         for number in 0..self.scene.count {
             let Some(mut unit) = self.scene.units().get(number).copied() else { return };
-            for pose in [&mut unit.first, &mut unit.previous, &mut unit.current, &mut unit.target] {
+            for pose in [&mut unit.first, &mut unit.current, &mut unit.target] {
                 pose.centre *= share;
             }
+            unit.course = unit.course.scaled(share);
             self.scene.rescale(&unit, share);
             unit.radius *= share;
             unit.inertia_m2 = impacts::no_less(unit.inertia_m2 * (share * share));
@@ -270,8 +282,9 @@ impl Simulator<'_, '_> {
         current: &Isometry3<f32>,
     ) -> UnitId {
         let offset = self.centre(unit);
-        let pose = |isometry| Pose::from_isometry(isometry, &offset);
-        self.add_checked(unit, &offset, &pose(previous), &pose(current))
+        let pose = |isometry| self.scene.measure.inward_isometry(isometry, &offset);
+        let poses = [pose(previous), pose(current)];
+        self.add_checked(unit, &offset, poses)
     }
 
     /// Puts the points of a unit that was checked behind the others' for their centre, from which they count from then
@@ -294,14 +307,13 @@ impl Simulator<'_, '_> {
     }
 
     /// Puts a unit behind the others, whose points have their [`centre`](Self::centre) at `offset` in the reference
-    /// frame. The poses are those of the centre. All three are in metres.
+    /// frame, metres. The poses in the first and the current frame are those of the centre, in the scene's measure.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn add_checked(
         &mut self,
         unit: &Unit<'_>,
         offset: &Point3<f32>,
-        first: &Pose,
-        current: &Pose,
+        [first, current]: [Pose; 2],
     ) -> UnitId {
         let start = self.scene.points_per_copy();
         let count = unit.points.len();
@@ -310,8 +322,7 @@ impl Simulator<'_, '_> {
         let id = UnitId::from_bits(self.next_id);
         let points = self.scene.points.get(start..start + count).unwrap_or_default();
         let measure = self.scene.measure;
-        let [first, current] = [first, current].map(|pose| measure.inward(pose));
-        let previous = self.scene.substep_ago(unit.role, &current, &first);
+        let course = self.scene.course_between(unit.role, &first, &current);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
         let mut reach = radius_here(points);
@@ -359,8 +370,8 @@ impl Simulator<'_, '_> {
             hull_start,
             inertia_m2: impacts::inertia(unit, points, is_ball, &measure),
             first,
-            previous,
             current,
+            course,
             target: current,
             #[cfg(rigidformer_host)]
             still: 0,

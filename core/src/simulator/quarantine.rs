@@ -86,9 +86,9 @@ impl Simulator<'_, '_> {
         if !self.holds_lost() || self.sizes.is_soft() {
             return;
         }
-        let fall = self.scene.fall();
+        let (fall, measure) = (self.scene.fall(), self.scene.measure);
         let units = self.scene.units_mut().iter_mut().filter(|unit| unit.can_be_held());
-        for unit in units.filter(|unit| !unit.free(&fall).is_somewhere()) {
+        for unit in units.filter(|unit| !measure.allows(&unit.free(&fall))) {
             unit.hold();
         }
     }

@@ -18,6 +18,7 @@ use super::report::StepReport;
 use super::state::Simulator;
 use crate::contact::prior;
 use crate::error::StepError;
+use crate::geometry::STATE;
 use crate::kernels::{Native, Schedule, Serial, in_own_environment};
 use crate::limits::ANCHORS;
 use crate::network::wanted::Wanted;
@@ -25,7 +26,6 @@ use crate::network::{Buffers, View, anchors, encoder, interaction, present};
 use crate::slices::{rows, slice_at, slice_at_mut};
 use crate::structure::{Attempt, Bonds, Joints, SoftBodies, Structure};
 use crate::trace::{Layer, NoTrace, Stage, Trace};
-use crate::workspace::POSE;
 
 /// Who hears what became of the copies of a scene in a step.
 trait Listener {
@@ -293,8 +293,8 @@ impl<'s> Simulator<'_, 's> {
         Bonds::constrain(schedule, self.next_of(copy))?;
         let Self { sizes, scene, lasting, .. } = self;
         if sizes.solved > 0 {
-            let (first, width) = (copy * scene.per_copy, sizes.poses * POSE);
-            let next = slice_at_mut(lasting.next, first * width, scene.per_copy * width);
+            let first = copy * scene.per_copy;
+            let next = slice_at_mut(lasting.next, first * STATE, scene.per_copy * STATE);
             prior::keep_apart(scene, first, lasting.solved, next);
         }
         Joints::constrain(schedule, self.next_of(copy))
@@ -303,7 +303,7 @@ impl<'s> Simulator<'_, 's> {
     /// Where the step under way takes a copy.
     fn next_of(&mut self, copy: usize) -> Attempt<'_, 's> {
         let Self { model, sizes, scene, lasting, rows, .. } = self;
-        let width = scene.per_copy * sizes.poses * POSE;
+        let width = scene.per_copy * STATE;
         let next = slice_at_mut(lasting.next, copy * width, width);
         Attempt { model, sizes, scene, copy, solved: lasting.solved, next, rows }
     }
@@ -326,10 +326,9 @@ impl<'s> Simulator<'_, 's> {
     fn commit(&mut self, copy: usize) {
         let Self { sizes, scene, lasting, .. } = self;
         let (first, count) = (copy * scene.per_copy, scene.per_copy);
-        let width = sizes.poses * POSE;
-        let next = slice_at(lasting.next, first * width, count * width);
+        let next = slice_at(lasting.next, first * STATE, count * STATE);
         let units = scene.units_mut().iter_mut().skip(first);
-        for (unit, next) in units.zip(rows(next, width)) {
+        for (unit, next) in units.zip(rows(next, STATE)) {
             unit.go_to(next);
         }
         if sizes.solved > 0 {

@@ -1,49 +1,52 @@
-//! Steps longer than the model knows, in equal substeps. A unit's previous pose is then that of a substep ago.
+//! Steps longer than the model knows, in equal substeps. A unit's motion is then that of the last substep.
 
 use super::measure::Time;
 use super::report::StepReport;
 use super::state::Simulator;
 use crate::error::{ObserveError, StepError};
-use crate::geometry::{Pose, read_pose, turned_by, write_pose};
+use crate::geometry::{
+    Course, POSE, Pose, STATE, State, read_pose, turn_between, turned_by, write_pose,
+};
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
-use crate::workspace::POSE;
 use nalgebra::Vector3;
 
 /// Numbers of an outcome.
 const OUTCOME: usize = 3;
 
+/// Numbers of where a step began for a unit: its state and its target.
+pub(crate) const START: usize = STATE + POSE;
+
 impl Scene<'_> {
-    /// Where a unit was a substep ago that was at `before` a step ago.
-    pub(super) fn substep_ago(&self, role: Role, current: &Pose, before: &Pose) -> Pose {
-        if self.substeps() <= 1 {
-            return *before;
-        }
-        let ago = turned_by(current, before, 1.0 / self.substeps() as f32);
-        self.ahead(role, &ago, -1.0)
+    /// The course of a unit that goes from one pose to another in a step.
+    pub(super) fn course_between(&self, role: Role, before: &Pose, now: &Pose) -> Course {
+        let share = 1.0 / self.substeps() as f32;
+        let way = (now.centre - before.centre) * share;
+        let turn = turn_between(&before.rotation, &now.rotation) * share;
+        Course::REST.moving(way + self.lead(role), turn)
     }
 
     /// Where a unit would have been a step ago, as its motion in the last substep says.
-    pub(super) fn step_ago(&self, unit: &UnitSlot) -> Pose {
-        if self.substeps() <= 1 {
-            return unit.previous;
-        }
-        let previous = self.ahead(unit.role, &unit.previous, 1.0);
-        turned_by(&unit.current, &previous, self.substeps() as f32)
+    pub(super) fn step_ago(&self, unit: &UnitSlot) -> State {
+        let substeps = self.substeps() as f32;
+        let way = (unit.course.way - self.lead(unit.role)) * substeps;
+        let course = unit.course.moving(way, unit.course.turn() * substeps);
+        let pose = State { pose: unit.current, course }.before();
+        State { pose, course: unit.resting().course }
     }
 
-    /// A pose of a substep ago, moved by what gravity has added to a free unit's velocity since the middle of the step.
-    fn ahead(&self, role: Role, pose: &Pose, sign: f32) -> Pose {
+    /// What gravity has added to a unit's way in the last substep since the middle of the step, metres.
+    fn lead(&self, role: Role) -> Vector3<f32> {
         match role {
-            Role::Free => Pose { centre: pose.centre + self.gravity_lead_m() * sign, ..*pose },
-            _ => *pose,
+            Role::Free => self.gravity_lead_m(),
+            _ => Vector3::zeros(),
         }
     }
 }
 
 impl Simulator<'_, '_> {
-    /// Moves the previous poses of all units to where they were before another step or substep, under another
+    /// Makes the motion of all units that of another step or substep, under another
     /// gravity: `set_time` and `set_measure` come next.
     pub(super) fn retime(
         &mut self,
@@ -64,23 +67,22 @@ impl Simulator<'_, '_> {
         for changes in [false, true] {
             for unit in self.scene.units_mut() {
                 let falls = !whole && unit.is_free();
-                let mut previous = unit.previous;
+                let (mut way, turn) = (unit.course.way, unit.course.turn() * share);
                 if falls {
-                    previous.centre += old;
+                    way -= old;
                 }
-                // At 1 the motion stays to the bit.
-                if share != 1.0 {
-                    previous = turned_by(&unit.current, &previous, share);
-                }
+                way *= share;
                 if falls {
-                    previous.centre -= new;
+                    way += new;
                 }
+                let course = unit.course.moving(way, turn);
                 // A longer step at the same velocity may come from beyond the largest coordinate.
-                if !previous.is_sound(MAX_COORDINATE_M) {
+                let state = State { pose: unit.current, course };
+                if !state.before().is_sound(MAX_COORDINATE_M) {
                     return Err(ObserveError::BadTimestep);
                 }
                 if changes {
-                    unit.previous = previous;
+                    unit.course = course;
                 }
             }
             #[cfg(feature = "deform")]
@@ -96,12 +98,10 @@ impl Simulator<'_, '_> {
     pub(super) fn keep_start(&mut self) {
         let Self { scene, lasting, .. } = self;
         lasting.outcomes.fill(0.0);
-        for (unit, start) in scene.units().iter().zip(rows_mut(lasting.start, 3 * POSE)) {
-            for (pose, row) in
-                [&unit.previous, &unit.current, &unit.target].into_iter().zip(rows_mut(start, POSE))
-            {
-                write_pose(pose, row);
-            }
+        for (unit, start) in scene.units().iter().zip(rows_mut(lasting.start, START)) {
+            let (state, target) = start.split_at_mut(STATE.min(start.len()));
+            unit.state().write(state);
+            write_pose(&unit.target, target);
         }
     }
 
@@ -109,8 +109,8 @@ impl Simulator<'_, '_> {
     pub(super) fn aim(&mut self, number: u32) {
         let Self { scene, lasting, .. } = self;
         let rest = scene.substeps().saturating_sub(number) as f32 / scene.substeps() as f32;
-        for (unit, start) in scene.units_mut().iter_mut().zip(rows(lasting.start, 3 * POSE)) {
-            let [_, from, target] = poses(start);
+        for (unit, start) in scene.units_mut().iter_mut().zip(rows(lasting.start, START)) {
+            let (State { pose: from, .. }, target) = started(start);
             unit.target = match unit.role {
                 Role::Driven if rest > 0.0 && from != target => turned_by(&target, &from, rest),
                 _ => target,
@@ -122,9 +122,10 @@ impl Simulator<'_, '_> {
     pub(super) fn back_to_start(&mut self, copy: usize) {
         let Self { scene, lasting, .. } = self;
         let per_copy = scene.per_copy;
-        let starts = rows(lasting.start, 3 * POSE).skip(copy * per_copy).take(per_copy);
+        let starts = rows(lasting.start, START).skip(copy * per_copy).take(per_copy);
         for (unit, start) in scene.units_mut().iter_mut().skip(copy * per_copy).zip(starts) {
-            [unit.previous, unit.current, unit.target] = poses(start);
+            let (state, target) = started(start);
+            (unit.current, unit.course, unit.target) = (state.pose, state.course, target);
             #[cfg(rigidformer_host)]
             (unit.still = 0);
         }
@@ -160,7 +161,8 @@ impl Simulator<'_, '_> {
     }
 }
 
-/// The three poses of a unit.
-fn poses(start: &[f32]) -> [Pose; 3] {
-    [0, 1, 2].map(|number| read_pose(slice_at(start, number * POSE, POSE)))
+/// The state of a unit and its target, where the step began.
+fn started(start: &[f32]) -> (State, Pose) {
+    let (state, target) = start.split_at(STATE.min(start.len()));
+    (State::read(state), read_pose(target))
 }

@@ -3,6 +3,7 @@
 use super::state::Simulator;
 use crate::geometry::Pose;
 use crate::kernels::in_own_environment;
+use crate::measure::Measure;
 use crate::scene::{Physics, Role, Scene, UnitId, UnitSlot};
 use core::ops::Range;
 use nalgebra::{Isometry3, Point3};
@@ -44,19 +45,21 @@ impl<'a> UnitView<'a> {
 
     /// Pose in the current frame: carries its reference points to the world.
     pub fn pose(&self) -> Isometry3<f32> {
-        in_own_environment(|| self.outward(&self.unit.current).isometry(&self.unit.offset))
+        in_own_environment(|| {
+            self.measure().outward_isometry(&self.unit.state(), &self.unit.offset)
+        })
     }
 
     /// As [`pose`](Self::pose), a step earlier. Where steps are taken in substeps it follows from the motion in the last substep.
     pub fn previous_pose(&self) -> Isometry3<f32> {
         in_own_environment(|| {
-            self.outward(&self.scene.step_ago(self.unit)).isometry(&self.unit.offset)
+            self.measure().outward_isometry(&self.scene.step_ago(self.unit), &self.unit.offset)
         })
     }
 
     /// Pose as rotation and centre of its internal frame: the bits that targets are compared by.
     pub fn internal_pose(&self) -> Pose {
-        in_own_environment(|| self.outward(&self.unit.current))
+        in_own_environment(|| self.measure().outward(&self.unit.state()))
     }
 
     /// Whether it is a patch of a soft body. The pose of a patch is the place of its points' mean, without a turn.
@@ -74,8 +77,13 @@ impl<'a> UnitView<'a> {
         Batches::new(rows, move |row| scene.soft.numbered_point(row))
     }
 
-    fn outward(&self, pose: &Pose) -> Pose {
-        self.scene.measure.outward(pose)
+    /// Its centre of mass in the current frame, metres, with the digits that a pose's f32 leave out.
+    pub fn centre(&self) -> Point3<f64> {
+        in_own_environment(|| self.measure().centre(&self.unit.state()))
+    }
+
+    fn measure(&self) -> &Measure {
+        &self.scene.measure
     }
 
     /// How many points it has.
@@ -86,9 +94,9 @@ impl<'a> UnitView<'a> {
     /// World positions of its points in the current frame, metres, in the simulator's
     /// own (farthest-point) order.
     pub fn points(&self) -> impl Iterator<Item = Point3<f32>> + use<'a> {
-        let (unit, length) = (self.unit, self.scene.measure.length());
-        let local = self.scene.points_of(unit).iter();
-        Batches::new(local, move |point| Point3::from(unit.current.apply(&point.coords) * length))
+        let (state, measure) = (self.unit.state(), self.scene.measure);
+        let local = self.scene.points_of(self.unit).iter();
+        Batches::new(local, move |point| measure.outward_point(&state, &point.coords))
     }
 }
 

@@ -1,8 +1,8 @@
-//! Velocities, which the simulator keeps as two poses a substep apart.
+//! Velocities, which the simulator keeps as the way and the turn of a substep.
 
 use super::state::Simulator;
 use crate::error::{EditError, ObserveError};
-use crate::geometry::{Pose, rotate, turn_between, turned};
+use crate::geometry::{Course, State, rotate};
 use crate::kernels::in_own_environment;
 use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Quarantine, Role, UnitId, UnitSlot};
@@ -10,7 +10,7 @@ use crate::structure::heading::is_robot;
 use core::borrow::Borrow;
 use nalgebra::Vector3;
 
-/// Greater turns of a substep are refused, radians: two poses tell turns up to half of one.
+/// Greater turns of a substep are refused, radians: a pose and the one before tell turns up to half of one.
 const MOST_TURN: f32 = 3.1;
 
 /// How a unit moves now, at the end of its last step.
@@ -98,9 +98,9 @@ impl Simulator<'_, '_> {
     ) -> Result<(), EditError> {
         let (unit, number) = self.slot(copy, id)?;
         let unit = *unit;
-        let previous = in_own_environment(|| self.previous_at((number, &unit), velocity))?;
+        let course = in_own_environment(|| self.course_at((number, &unit), velocity))?;
         let (slot, _) = self.slot(copy, id)?;
-        slot.move_from(previous);
+        slot.move_on(course);
         self.forget_still();
         Ok(())
     }
@@ -123,9 +123,9 @@ impl Simulator<'_, '_> {
             for (number, velocity) in velocities.clone().enumerate() {
                 let Some(unit) = self.scene.units().get(number).copied() else { break };
                 let velocity = velocity.borrow();
-                let previous = in_own_environment(|| self.previous_at((number, &unit), velocity))?;
+                let course = in_own_environment(|| self.course_at((number, &unit), velocity))?;
                 if let Some(slot) = self.scene.units_mut().get_mut(number).filter(|_| changes) {
-                    slot.move_from(previous);
+                    slot.move_on(course);
                 }
             }
         }
@@ -155,19 +155,17 @@ impl Simulator<'_, '_> {
         if unit.role == Role::Fixed || seconds <= 0.0 {
             return Velocity::default();
         }
-        let (now, before) = (&unit.current, &unit.previous);
-        let angular_rad_s = turn_between(&before.rotation, &now.rotation) / seconds;
-        let of_centre =
-            (now.centre - before.centre) * length / seconds + self.half_fall_m_s(unit.role);
+        let angular_rad_s = unit.course.turn() / seconds;
+        let of_centre = unit.course.way * length / seconds + self.half_fall_m_s(unit.role);
         Velocity { linear_m_s: of_centre - angular_rad_s.cross(&lever(unit)), angular_rad_s }
     }
 
-    /// Where a unit was a substep ago that moves so now.
-    fn previous_at(
+    /// The course of a unit that moves so now.
+    fn course_at(
         &self,
         (number, unit): (usize, &UnitSlot),
         velocity: &Velocity,
-    ) -> Result<Pose, EditError> {
+    ) -> Result<Course, EditError> {
         #[cfg(feature = "deform")]
         if unit.is_soft() {
             return Err(EditError::Deforms);
@@ -179,25 +177,23 @@ impl Simulator<'_, '_> {
             return Err(EditError::Spin { id: unit.id, limit_rad_s: MOST_TURN / seconds });
         }
         if unit.given_role() == Role::Fixed {
-            return Ok(unit.current);
+            return Ok(unit.resting().course);
         }
         let of_centre = linear_m_s + angular_rad_s.cross(&lever(unit));
         let way = (of_centre - self.half_fall_m_s(unit.given_role())) * seconds;
-        let previous = Pose {
-            rotation: turned(&unit.current.rotation, &-turn),
-            centre: unit.current.centre - way / length,
-        };
-        match self.scene.measure.outward(&previous).is_sound(MAX_COORDINATE_M) {
-            true => Ok(previous),
+        let course = unit.course.moving(way / length, turn);
+        let before = State { pose: State { pose: unit.current, course }.before(), course };
+        match self.scene.measure.outward(&before).is_sound(MAX_COORDINATE_M) {
+            true => Ok(course),
             false => Err(ObserveError::BadPose { unit: number }.into()),
         }
     }
 }
 
 impl UnitSlot {
-    /// Goes on from where it is, with the motion from a pose of a substep ago.
-    fn move_from(&mut self, previous: Pose) {
-        (self.previous, self.target) = (previous, self.current);
+    /// Goes on from where it is, with another motion.
+    fn move_on(&mut self, course: Course) {
+        (self.course, self.target) = (course, self.current);
         self.set_quarantine(Quarantine::None, self.given_role());
     }
 }

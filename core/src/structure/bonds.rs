@@ -2,11 +2,9 @@
 
 use crate::contact::prior;
 use crate::geometry::{
-    POSE, Pose, orthonormal, product, read_pose, rotate, turn_between, turn_that_fits, turned,
-    write_pose,
+    Pose, STATE, State, orthonormal, product, read_pose, rotate, turn_that_fits,
 };
 use crate::scene::{Scene, UnitId, UnitSlot, members};
-use crate::slices::slice_at;
 use crate::structure::member::Member;
 use nalgebra::{Matrix3, Vector3};
 
@@ -286,7 +284,7 @@ fn unused_body(units: &[UnitSlot], used: u32) -> u32 {
 }
 
 /// Puts the units of each cluster of a copy together again after the network's correction, and out of planes as a whole: `next`,
-/// (units of the copy, 2 poses), has where they go and seem to come from, `solved` what impulses made of the step. Whether
+/// (units of the copy, [`STATE`]), has where they go, `solved` what impulses made of the step. Whether
 /// there are clusters that do not rest.
 pub(crate) fn hold_together(
     scene: &Scene<'_>,
@@ -296,7 +294,7 @@ pub(crate) fn hold_together(
 ) -> bool {
     let (_, units) = scene.around(first);
     let mut any = false;
-    let (rows, _) = next.as_chunks_mut::<{ 2 * POSE }>();
+    let (rows, _) = next.as_chunks_mut();
     for (number, unit) in units.iter().enumerate() {
         // What rests does so as a whole, and stays to the bit.
         let rests = || prior::solved(scene, first + number, solved).share < 0.0;
@@ -306,13 +304,12 @@ pub(crate) fn hold_together(
         any = true;
         let [way, turn] = motion(units, number, rows);
         fit(scene, units, number, rows);
-        let middle = middle(units, number, |number| pose_at(rows, number, 0));
+        let middle = middle(units, number, |number| pose_at(rows, number));
         for (number, _) in members(units, number) {
             let Some(row) = rows.get_mut(number) else { continue };
-            let (next, before) = row.split_at_mut(POSE);
-            let Pose { rotation, centre } = read_pose(next);
-            let centre = centre - (way + turn.cross(&(centre - middle)));
-            write_pose(&Pose { rotation: turned(&rotation, &-turn), centre }, before);
+            let State { pose, course } = State::read(row);
+            let way = way + turn.cross(&(pose.centre - middle));
+            State { pose, course: course.moving(way, turn) }.write(row);
         }
         lift(scene, units, number, rows);
     }
@@ -320,8 +317,8 @@ pub(crate) fn hold_together(
 }
 
 /// A pose of a unit's row.
-fn pose_at(rows: &[[f32; 2 * POSE]], number: usize, start: usize) -> Pose {
-    read_pose(rows.get(number).map_or(&[][..], |row| slice_at(row, start, POSE)))
+fn pose_at(rows: &[[f32; STATE]], number: usize) -> Pose {
+    rows.get(number).map_or_else(Pose::default, |row| read_pose(row))
 }
 
 /// A cluster's centre of mass, by where its units are: in levers from the first one, so that nothing is lost far from the origin.
@@ -335,17 +332,18 @@ fn middle(units: &[UnitSlot], cluster_root: usize, pose: impl Fn(usize) -> Pose)
     origin + sum / mass
 }
 
-/// The way (m) and the turn (rad) in a step that have the momentum and the spin of a cluster's units together, as their two poses
-/// tell them.
-fn motion(units: &[UnitSlot], cluster_root: usize, rows: &[[f32; 2 * POSE]]) -> [Vector3<f32>; 2] {
-    let middle = middle(units, cluster_root, |number| pose_at(rows, number, 0));
+/// The way (m) and the turn (rad) in a step that have the momentum and the spin of a cluster's units together.
+fn motion(units: &[UnitSlot], cluster_root: usize, rows: &[[f32; STATE]]) -> [Vector3<f32>; 2] {
+    let middle = middle(units, cluster_root, |number| pose_at(rows, number));
     let (mut mass, mut ways) = (0.0, Vector3::<f64>::zeros());
     let (mut inertia, mut spin) = (Matrix3::<f64>::zeros(), Vector3::<f64>::zeros());
     for (number, unit) in members(units, cluster_root) {
-        let [next, before] = [0, POSE].map(|start| pose_at(rows, number, start));
+        let Some(State { pose: next, course }) = rows.get(number).map(|row| State::read(row))
+        else {
+            continue;
+        };
         let (own, arm) = (f64::from(unit.mass), (next.centre - middle).cast::<f64>());
-        let way = (next.centre - before.centre).cast::<f64>();
-        let turn = turn_between(&before.rotation, &next.rotation).cast::<f64>();
+        let (way, turn) = (course.way.cast::<f64>(), course.turn().cast::<f64>());
         let axes = next.rotation.cast::<f64>();
         let alone = axes * Matrix3::from_diagonal(&unit.inertia_m2.cast()) * axes.transpose();
         let far = Matrix3::from_diagonal_element(arm.norm_squared()) - arm * arm.transpose();
@@ -362,18 +360,18 @@ fn motion(units: &[UnitSlot], cluster_root: usize, rows: &[[f32; 2 * POSE]]) -> 
 
 /// Makes the ways of a cluster's units to their next poses one rigid motion: its centre of mass goes where theirs does, and it
 /// turns as fits their anchors best.
-fn fit(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; 2 * POSE]]) {
+fn fit(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; STATE]]) {
     let now = |number: usize| units.get(number).map_or_else(Pose::default, |unit| unit.current);
     let middle = middle(units, cluster_root, now);
     let (mut mass, mut moved) = (0.0, Vector3::zeros());
     for (number, unit) in members(units, cluster_root) {
         mass += unit.mass;
-        moved += (pose_at(rows, number, 0).centre - unit.current.centre) * unit.mass;
+        moved += (pose_at(rows, number).centre - unit.current.centre) * unit.mass;
     }
     let moved = moved / mass;
     let mut covariance = Matrix3::<f64>::zeros();
     for (number, unit) in members(units, cluster_root) {
-        let (now, next) = (unit.current, pose_at(rows, number, 0));
+        let (now, next) = (unit.current, pose_at(rows, number));
         let arm = now.centre - middle;
         let after = ((next.centre - now.centre) - moved) + arm;
         for anchor in &scene.anchors_of(unit) {
@@ -386,16 +384,18 @@ fn fit(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[
     for (number, unit) in members(units, cluster_root) {
         let now = unit.current;
         let swing = rotate(&(turn - Matrix3::identity()), &(now.centre - middle));
-        let centre = now.centre + (moved + swing);
-        let pose = Pose { rotation: orthonormal(&product(&turn, &now.rotation)), centre };
+        let mut next = unit.resting();
+        next.shift(&(moved + swing));
+        next.pose.rotation = orthonormal(&product(&turn, &now.rotation));
+        next.course.turn_low = Vector3::zeros();
         if let Some(row) = rows.get_mut(number) {
-            write_pose(&pose, row);
+            next.write(row);
         }
     }
 }
 
 /// Lifts a cluster out of planes, by the most that a unit of it has to be.
-fn lift(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; 2 * POSE]]) {
+fn lift(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; STATE]]) {
     for plane in &scene.planes {
         let most = members(units, cluster_root).fold(0.0_f32, |most, (number, unit)| {
             let pose = rows.get(number).map_or(unit.current, |row| read_pose(row));
@@ -408,19 +408,12 @@ fn lift(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [
     }
 }
 
-/// Moves a cluster, with where it seems to come from: that is no velocity.
-fn shift(
-    units: &[UnitSlot],
-    cluster_root: usize,
-    way: &Vector3<f32>,
-    rows: &mut [[f32; 2 * POSE]],
-) {
+/// Moves a cluster. That is no velocity.
+fn shift(units: &[UnitSlot], cluster_root: usize, way: &Vector3<f32>, rows: &mut [[f32; STATE]]) {
     for (number, _) in members(units, cluster_root) {
         let Some(row) = rows.get_mut(number) else { continue };
-        let (next, before) = row.split_at_mut(POSE);
-        for row in [next, before] {
-            let pose = read_pose(row);
-            write_pose(&Pose { centre: pose.centre + way, ..pose }, row);
-        }
+        let mut state = State::read(row);
+        state.shift(way);
+        state.write(row);
     }
 }

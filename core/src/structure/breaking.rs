@@ -2,7 +2,7 @@
 //! the solver does to their cluster while all bonds hold.
 
 use crate::contact::prior::{self, Solved};
-use crate::geometry::{POSE, dot, norm, read_pose, rotate, rotate_back};
+use crate::geometry::{STATE, State, dot, norm, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::math;
 use crate::model::Model;
@@ -22,11 +22,8 @@ impl Structure for Bonds<'_> {
             return Ok(());
         }
         let any = hold_together(scene, copy * scene.per_copy, solved, next);
-        let nowhere = |pose: &[f32]| !read_pose(pose).is_somewhere();
-        match rows(next, POSE).position(nowhere).filter(|_| any) {
-            Some(pose) => Err(pose / sizes.poses.max(1)),
-            None => Ok(()),
-        }
+        let nowhere = |row: &[f32]| !scene.measure.allows(&State::read(row));
+        rows(next, STATE).position(nowhere).filter(|_| any).map_or(Ok(()), Err)
     }
 
     fn come_apart<S: Schedule>(
@@ -193,15 +190,13 @@ impl Judge<'_> {
 
     /// By how much impulses change a unit's velocity in the step, m/s.
     fn push(&self, number: usize, unit: &UnitSlot) -> Vector3<f32> {
-        let Solved { next, before, .. } = self.solved(number);
-        let way = next.centre - before.centre;
-        let earlier = unit.current.centre - unit.previous.centre;
-        (way - earlier) / self.scene.dt - self.scene.gravity * self.scene.dt
+        let Solved { next, .. } = self.solved(number);
+        (next.course.way - unit.course.way) / self.scene.dt - self.scene.gravity * self.scene.dt
     }
 
     /// How high the lowest point of a unit is over the planes in the step, metres.
     fn low(&self, number: usize, unit: &UnitSlot) -> f32 {
-        let next = self.solved(number).next;
+        let next = self.solved(number).next.pose;
         let poses = [&unit.current, &next];
         self.scene.planes.iter().fold(HIGH_M, |low, plane| {
             poses.iter().fold(low, |low, pose| {

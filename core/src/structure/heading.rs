@@ -66,14 +66,18 @@ pub(crate) fn turn_frames(scene: &mut Scene<'_>) {
     }
 }
 
-/// Where a unit goes with the heaviest one's heading, which turns and moves over the ground as in the last step.
-pub(crate) fn pose_with_leader(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
+/// Where a unit goes with the heaviest one's heading, which turns and moves over the ground as in the last step: its rotation, and
+/// its centre from where that is now.
+pub(crate) fn motion_with_leader(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> Pose {
     let (_, around) = scene.around(index);
-    let Some(leader) = heaviest(around) else { return unit.current };
-    let (now, before) = (heading(&leader.current), heading(&leader.previous));
+    let rotation = unit.current.rotation;
+    let Some(leader) = heaviest(around) else { return Pose { rotation, ..Pose::default() } };
+    let (now, before) = (heading(&leader.current), heading(&leader.state().before()));
     let on = product_transposed(&now.rotation, &before.rotation);
-    let centre = rotate(&on, &(unit.current.centre - before.centre)) + now.centre;
-    Pose { rotation: crate::geometry::product(&on, &unit.current.rotation), centre }
+    let way = Vector3::new(leader.course.way.x, leader.course.way.y, 0.0);
+    let arm = unit.current.centre - now.centre;
+    let centre = rotate(&on, &(arm + way)) - arm;
+    Pose { rotation: crate::geometry::product(&on, &rotation), centre }
 }
 
 /// A direction in the world as a unit's frame has it, for models that see from one.

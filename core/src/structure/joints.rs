@@ -1,6 +1,6 @@
 //! Parts that stay together: pivots that a unit shares with the unit that it hangs from (docs/MODEL.md, section 7).
 
-use crate::geometry::{POSE, Pose, dot, read_pose, rotate, rotate_back, turned, write_pose};
+use crate::geometry::{Pose, STATE, State, dot, read_pose, rotate, rotate_back};
 use crate::kernels::Schedule;
 use crate::scene::{Scene, UnitId, UnitSlot};
 use crate::slices::{rows, rows_mut};
@@ -79,14 +79,14 @@ pub(crate) struct Joints;
 
 impl Structure for Joints {
     fn constrain<S: Schedule>(_: S, attempt: Attempt<'_, '_>) -> Result<(), usize> {
-        let Attempt { model, sizes, scene, copy, next, .. } = attempt;
-        let (first, width) = (copy * scene.per_copy, sizes.poses * POSE);
-        hold_together(scene, first, sweeps(model.config().motion), (&mut *next, width));
+        let Attempt { model, scene, copy, next, .. } = attempt;
+        let first = copy * scene.per_copy;
+        hold_together(scene, first, sweeps(model.config().motion), next);
         // What is held stays, wherever that is.
-        let is_lost = |(pose, unit): (&[f32], &UnitSlot)| {
-            !unit.is_quarantined() && !read_pose(pose).is_somewhere()
+        let is_lost = |(state, unit): (&[f32], &UnitSlot)| {
+            !unit.is_quarantined() && !scene.measure.allows(&State::read(state))
         };
-        let mut units = rows(next, width).zip(scene.units().iter().skip(first));
+        let mut units = rows(next, STATE).zip(scene.units().iter().skip(first));
         units.position(is_lost).map_or(Ok(()), Err)
     }
 }
@@ -129,15 +129,10 @@ fn number(units: &[UnitSlot], id: UnitId) -> Option<usize> {
 }
 
 /// Brings the two images of each pivot together, by `sweeps` of pushes that also turn units and then exactly by moving centres:
-/// `next`, (units of the copy, `width`), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
+/// `next`, (units of the copy, [`STATE`]), has where they go. A tree of free units keeps its centre of mass. Units that nothing moves stay: what hangs from
 /// them, directly or through free units, hangs from the nearest one; the rest of the tree from the first such unit that hangs
 /// from no other.
-fn hold_together(
-    scene: &mut Scene<'_>,
-    first: usize,
-    sweeps: usize,
-    (next, width): (&mut [f32], usize),
-) {
+fn hold_together(scene: &mut Scene<'_>, first: usize, sweeps: usize, next: &mut [f32]) {
     let (length, count) = (scene.measure.length(), scene.per_copy);
     let units = scene.units_mut().get_mut(first..first + count).unwrap_or_default();
     // Most scenes have no joints.
@@ -146,7 +141,7 @@ fn hold_together(
     }
     for _ in 0..sweeps {
         for number in 0..count {
-            turn(units, number, (length, &mut *next, width));
+            turn(units, number, (length, &mut *next));
         }
     }
     for (number, unit) in units.iter_mut().enumerate() {
@@ -158,7 +153,7 @@ fn hold_together(
     for _ in 0..count {
         let mut is_done = true;
         for number in 0..count {
-            let Some(link) = hung(units, number, (length, next, width)) else { continue };
+            let Some(link) = hung(units, number, (length, next)) else { continue };
             is_done = false;
             if let Some(unit) = units.get_mut(number) {
                 unit.link = link;
@@ -178,7 +173,7 @@ fn hold_together(
         }
         // The tree as a whole must not jump: it moves against what joints moved in it.
         let stays = stay(units, root);
-        for (number, row) in rows_mut(next, width).enumerate() {
+        for (number, row) in rows_mut(next, STATE).enumerate() {
             let Some(unit) = units.get(number).filter(|unit| unit.link.root == Some(root)) else {
                 continue;
             };
@@ -189,9 +184,9 @@ fn hold_together(
             let way = unit.link.way - from;
             // Adding a zero would change the sign of another.
             if way != Vector3::zeros() {
-                let mut pose = read_pose(row);
-                pose.centre += way;
-                write_pose(&pose, row);
+                let mut state = State::read(row);
+                state.push(&way);
+                state.write(row);
             }
         }
     }
@@ -200,7 +195,7 @@ fn hold_together(
 /// What moves at a pivot.
 struct Side {
     number: usize,
-    pose: Pose,
+    state: State,
     /// From the centre to the pivot.
     arm: Vector3<f32>,
     /// 1 / mass, in the lighter unit's, and those of the principal moments; 0 where nothing moves the unit.
@@ -212,23 +207,25 @@ impl Side {
     fn new(
         (number, unit): (usize, &UnitSlot),
         (pivot, mass): (&Point3<f32>, f32),
-        (length, next, width): (f32, &[f32], usize),
+        (length, next): (f32, &[f32]),
     ) -> Option<Side> {
-        let pose = read_pose(next.get(number * width..)?.get(..POSE)?);
+        let state = State::read(next.get(number * STATE..)?.get(..STATE)?);
+        let pose = state.pose;
         let arm = rotate(&pose.rotation, &((pivot - unit.offset) / length));
         let lightness = unit.lightness() * mass;
         let yields = unit.inertia_m2.map(|moment| lightness / moment);
-        Some(Side { number, pose, arm, lightness, yields })
+        Some(Side { number, state, arm, lightness, yields })
     }
 
     fn image(&self) -> Vector3<f32> {
-        self.pose.centre + self.arm
+        self.state.pose.centre + self.arm
     }
 
     /// The turn that a push at the pivot makes.
     fn turn(&self, push: &Vector3<f32>) -> Vector3<f32> {
-        let about = rotate_back(&self.pose.rotation, &self.arm.cross(push));
-        rotate(&self.pose.rotation, &about.component_mul(&self.yields))
+        let rotation = &self.state.pose.rotation;
+        let about = rotate_back(rotation, &self.arm.cross(push));
+        rotate(rotation, &about.component_mul(&self.yields))
     }
 
     /// How far a push at the pivot moves it.
@@ -237,28 +234,24 @@ impl Side {
     }
 
     /// Moves the unit by a push at the pivot.
-    fn moved(&self, push: &Vector3<f32>) -> Pose {
-        Pose {
-            rotation: turned(&self.pose.rotation, &self.turn(push)),
-            centre: self.pose.centre + push * self.lightness,
-        }
+    fn moved(&self, push: &Vector3<f32>) -> State {
+        let mut state = self.state;
+        state.push(&(push * self.lightness));
+        state.push_turn(&self.turn(push));
+        state
     }
 }
 
 /// Moves and turns a unit and its parent by a push and its counterpart at their pivot, so that its images meet.
-fn turn(
-    units: &[UnitSlot],
-    number: usize,
-    (length, next, width): (f32, &mut [f32], usize),
-) -> Option<()> {
+fn turn(units: &[UnitSlot], number: usize, (length, next): (f32, &mut [f32])) -> Option<()> {
     let unit = units.get(number)?;
     let joint = Joint::of(unit)?;
     let above = self::number(units, joint.parent)?;
     let parent = units.get(above)?;
     // Products of three weights stay within f32, whatever the masses.
     let mass = unit.mass.min(parent.mass);
-    let own = Side::new((number, unit), (&joint.pivot, mass), (length, next, width))?;
-    let parents = Side::new((above, parent), (&joint.parent_pivot, mass), (length, next, width))?;
+    let own = Side::new((number, unit), (&joint.pivot, mass), (length, next))?;
+    let parents = Side::new((above, parent), (&joint.parent_pivot, mass), (length, next))?;
     let gap = parents.image() - own.image();
     let [x, y, z] =
         [Vector3::x(), Vector3::y(), Vector3::z()].map(|push| own.way(&push) + parents.way(&push));
@@ -272,26 +265,20 @@ fn turn(
             / volume;
     for (side, push) in [(&own, push), (&parents, -push)] {
         if side.lightness > 0.0 {
-            write_pose(&side.moved(&push), next.get_mut(side.number * width..)?.get_mut(..POSE)?);
+            side.moved(&push).write(next.get_mut(side.number * STATE..)?.get_mut(..STATE)?);
         }
     }
     Some(())
 }
 
 /// The link of a unit whose parent's way is known and whose own is not.
-fn hung(
-    units: &[UnitSlot],
-    number: usize,
-    (length, next, width): (f32, &[f32], usize),
-) -> Option<Link> {
+fn hung(units: &[UnitSlot], number: usize, (length, next): (f32, &[f32])) -> Option<Link> {
     let unit = units.get(number).filter(|unit| unit.link.root.is_none())?;
     let joint = Joint::of(unit)?;
     let above = self::number(units, joint.parent)?;
     let parent = units.get(above)?;
     let root = parent.link.root?;
-    let pose = |number: usize| -> Option<Pose> {
-        Some(read_pose(next.get(number * width..)?.get(..POSE)?))
-    };
+    let pose = |number: usize| -> Option<Pose> { Some(read_pose(next.get(number * STATE..)?)) };
     let (own, parents) = (pose(number)?, pose(above)?);
     let arm = |pose: &Pose, pivot: &Point3<f32>, unit: &UnitSlot| {
         rotate(&pose.rotation, &((pivot - unit.offset) / length))

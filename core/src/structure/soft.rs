@@ -5,7 +5,7 @@
 
 use crate::error::ObserveError;
 use crate::geometry::{
-    Pose, dot, felt_directions, kabsch_here, norm, orthonormal, radius_here, rotate, rotate_back,
+    Course, Pose, State, dot, felt_directions, kabsch_here, norm, radius_here, rotate, rotate_back,
 };
 use crate::kernels::Schedule;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
@@ -30,9 +30,9 @@ impl Structure for SoftBodies {
         solve(scene, &config.elastic, copy);
     }
 
-    fn poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [Pose; 2] {
-        // A patch has its points; its poses follow from them when they have moved.
-        if unit.is_soft() { [unit.current; 2] } else { rigid_poses(scene, index, unit) }
+    fn state(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> State {
+        // A patch has its points; its pose follows from them when they have moved.
+        if unit.is_soft() { unit.resting() } else { rigid_state(scene, index, unit) }
     }
 
     fn constrain<S: Schedule>(schedule: S, attempt: Attempt<'_, '_>) -> Result<(), usize> {
@@ -116,8 +116,9 @@ pub(crate) fn add_patch(
         let at = |list: &[Point3<f32>]| list.get(best.0).copied().unwrap_or_default().coords;
         put(soft.given, row, best.0 as f32);
         set(soft.rest, row, &at(rest));
-        set(soft.state, row * 2, &at(previous));
-        set(soft.state, row * 2 + 1, &at(current));
+        let (way, current) = (at(current) - at(previous), at(current));
+        set(soft.state, row * 2, &way);
+        set(soft.state, row * 2 + 1, &current);
     }
 }
 
@@ -310,13 +311,13 @@ pub(crate) fn refresh(scene: &mut Scene<'_>, index: usize) {
     let Scene { points, soft, .. } = scene;
     let rows = unit.start..unit.start + unit.count;
     let share = unit.count as f32;
-    let [mut before, mut now] = [Vector3::zeros(); 2];
+    let [mut way, mut now] = [Vector3::zeros(); 2];
     for row in rows.clone() {
-        before += soft.previous(row);
+        way += soft.increment(row);
         now += soft.current(row);
     }
     let rotation = Matrix3::identity();
-    unit.previous = Pose { rotation, centre: before / share };
+    unit.course = Course::REST.moving(way / share, Vector3::zeros());
     unit.current = Pose { rotation, centre: now / share };
     unit.target = unit.current;
     let slab = points.get_mut(rows.clone()).unwrap_or_default();
@@ -344,12 +345,12 @@ pub(crate) fn retime(scene: &mut Scene<'_>, share: f32, changes: bool) -> Option
         };
         for row in unit.start..unit.start + unit.count {
             let soft = &mut scene.soft;
-            let previous = soft.current(row) - soft.increment(row) * share;
-            if !previous.iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
+            let (way, current) = (soft.increment(row) * share, soft.current(row));
+            if !(current - way).iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
                 return None;
             }
             if changes {
-                set(soft.state, row * 2, &previous);
+                soft.set_state(row, &way, &current);
             }
         }
         if changes {
@@ -400,7 +401,7 @@ fn solve(scene: &mut Scene<'_>, elastic: &Elastic, copy: usize) {
                 set(soft.velocity, row, &velocity);
             }
         } else {
-            let velocity = (unit.current.centre - unit.previous.centre) / dt + half;
+            let velocity = unit.course.way / dt + half;
             set(soft.rigid, index * 3, &unit.current.centre);
             set(soft.rigid, index * 3 + 1, &velocity);
         }
@@ -613,14 +614,16 @@ pub(crate) fn mark_balls(scene: &mut Scene<'_>) {
     }
 }
 
-/// Where a rigid unit beside soft ones is after the step, and where it counts as having been before.
-fn rigid_poses(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> [Pose; 2] {
+/// Where a rigid unit beside soft ones goes.
+fn rigid_state(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> State {
     let soft = &scene.soft;
     let (centre, velocity) = (vector(soft.rigid, index * 3), vector(soft.rigid, index * 3 + 1));
     let way = (velocity - scene.gravity * (scene.dt * 0.5)) * scene.dt;
-    // The last turn once more: its rounding would grow 2.4-fold a step.
-    let rotation = orthonormal(&unit.free(&Vector3::zeros()).rotation);
-    [Pose { rotation, centre }, Pose { rotation: unit.current.rotation, centre: centre - way }]
+    let turn = unit.course.turn();
+    let mut next = State { course: unit.course.moving(way, turn), ..unit.state() };
+    next.shift(&(centre - unit.current.centre));
+    next.turn(&turn);
+    next
 }
 
 /// Adds what the network says to the points of a copy's soft units: `head` is its output (units, anchors, outputs), `channels` the point
@@ -782,8 +785,7 @@ fn commit(scene: &mut Scene<'_>, copy: usize) {
         let soft = &mut scene.soft;
         for row in unit.start..unit.start + unit.count {
             let (x, way) = (vector(soft.after, row), vector(soft.velocity, row));
-            set(soft.state, row * 2, &(x - way));
-            set(soft.state, row * 2 + 1, &x);
+            soft.set_state(row, &way, &x);
         }
         refresh(scene, index);
     }

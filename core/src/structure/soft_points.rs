@@ -32,7 +32,7 @@ pub(crate) const fn numbers(units: usize, points: usize, neighbours: usize) -> u
 pub(crate) struct SoftPoints<'s> {
     /// (points, 3) at rest.
     pub(crate) rest: &'s mut [f32],
-    /// (points, previous and current)
+    /// (points, way in the last step and place)
     pub(crate) state: &'s mut [f32],
     /// (points, 3) where the step under way takes points.
     pub(crate) after: &'s mut [f32],
@@ -144,17 +144,13 @@ impl<'s> SoftPoints<'s> {
         }
     }
 
-    pub(crate) fn previous(&self, row: usize) -> Vector3<f32> {
-        vector(self.state, row * 2)
-    }
-
     pub(crate) fn current(&self, row: usize) -> Vector3<f32> {
         vector(self.state, row * 2 + 1)
     }
 
     /// The way of a point in the last step, metres.
     pub(crate) fn increment(&self, row: usize) -> Vector3<f32> {
-        self.current(row) - self.previous(row)
+        vector(self.state, row * 2)
     }
 
     /// Where a point is at rest.
@@ -168,14 +164,9 @@ impl<'s> SoftPoints<'s> {
         put(self.given, row, given as f32);
     }
 
-    /// Says where a point was and is.
-    pub(crate) fn set_state(
-        &mut self,
-        row: usize,
-        previous: &Vector3<f32>,
-        current: &Vector3<f32>,
-    ) {
-        set(self.state, row * 2, previous);
+    /// Says how far a point came in the last step, and where it is.
+    pub(crate) fn set_state(&mut self, row: usize, way: &Vector3<f32>, current: &Vector3<f32>) {
+        set(self.state, row * 2, way);
         set(self.state, row * 2 + 1, current);
     }
 

@@ -1,6 +1,6 @@
 //! What the structure of a scene does in a step. A build that leaves a structure out has [`Absent`] in its place.
 
-use crate::geometry::Pose;
+use crate::geometry::State;
 use crate::kernels::Schedule;
 use crate::model::Model;
 use crate::scene::{Scene, UnitSlot};
@@ -18,7 +18,7 @@ pub(crate) struct Attempt<'a, 's> {
     pub(crate) copy: usize,
     /// Motion by impulses; empty for models without.
     pub(crate) solved: &'a [f32],
-    /// (units of the copy, poses)
+    /// (units of the copy, [`STATE`](crate::geometry::STATE))
     pub(crate) next: &'a mut [f32],
     pub(crate) rows: &'a mut Rows<'s>,
 }
@@ -28,9 +28,9 @@ pub(crate) trait Structure {
     /// Finds the motion of a copy that the network corrects, where that is not by impulses.
     fn prior(_config: &ModelConfig, _scene: &mut Scene<'_>, _copy: usize) {}
 
-    /// Where a free unit goes and seems to come from, where its points go their own ways.
-    fn poses(_scene: &Scene<'_>, _index: usize, unit: &UnitSlot) -> [Pose; 2] {
-        [unit.current; 2]
+    /// Where a free unit goes, where its points go their own ways.
+    fn state(_scene: &Scene<'_>, _index: usize, unit: &UnitSlot) -> State {
+        unit.state()
     }
 
     /// Changes where units go, so that they hold together. The number in the copy of a unit that goes nowhere is an error.

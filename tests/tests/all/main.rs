@@ -8,6 +8,7 @@ mod bits;
 mod bonds;
 mod breaking;
 mod contact;
+mod exact_state;
 mod golden;
 mod ground;
 mod heading;

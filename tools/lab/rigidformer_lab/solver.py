@@ -38,7 +38,7 @@ LASTING = 1.5  # what contact that lasts changes at most, in gravity x dt: a net
 STILL = 1.05
 HELD = 0.1  # what moved slower between the two observed frames lay still, in gravity x dt
 REST = 0.02  # what touches something held and is slower at both ends of a step rests, in gravity x dt
-ROUNDING = 4 * 1.2e-7  # of a coordinate, in a step, that two f32 poses cannot tell from rest
+ROUNDING = 4 * 1.2e-7  # of a coordinate: what falls into that in a step rests too, up to twice the speed
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
 SAME_WAY = 0.7  # and its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place
 CONTACTS = 12  # room a unit
@@ -798,7 +798,8 @@ def advance(w, s, dt, parts, c, old):
     for unit in range(units):
         speed[unit] = _speed(radius[unit], s, unit)
         lead = w.lead[unit]
-        rest[lead] = max(rest[lead], REST * drop * dt + ROUNDING * np.abs(s.centre[unit]).max() / dt)
+        slow = REST * drop * dt
+        rest[lead] = max(rest[lead], slow + min(slow, ROUNDING * np.abs(s.centre[unit]).max() / dt))
     count = most = 0
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
     there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres

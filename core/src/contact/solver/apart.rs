@@ -5,7 +5,7 @@ use super::bodies::{Touched, World};
 use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};
 use super::{CONTACTS, carve};
 use crate::contact::ground::Plane;
-use crate::geometry::{Hull, POSE, Pose, dot, read_pose, rotate_back, write_pose};
+use crate::geometry::{Hull, Pose, STATE, State, dot, rotate_back};
 use crate::limits::MAX_PIECES;
 use crate::scene::{Scene, UnitSlot, members};
 use nalgebra::Vector3;
@@ -15,12 +15,12 @@ const KEEPS: u8 = 4;
 /// Of an overlap this much is left, in radii of the smaller unit: units that rest on each other go on touching.
 const SLACK: f32 = 0.0002;
 
-/// Where a unit goes, and where it then seems to come from.
-type Next = [f32; 2 * POSE];
+/// The state that a unit goes to.
+type Next = [f32; STATE];
 
 /// Moves units apart where they overlap, without turning them, from what does not move on. `scratch` is what
-/// [`solve`](super::solve) has left there; `next` has where the units of the copy go and seem to come from, (units, 2
-/// poses).
+/// [`solve`](super::solve) has left there; `next` has the states that the units of the copy go to,
+/// (units, [`STATE`]).
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], next: &mut [f32]) {
     let world = World::new(scene, first, 1);
@@ -115,17 +115,15 @@ fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]
     if let Some(cluster_root) = unit.cluster_root() {
         return shift_together(world, cluster_root, way, next);
     }
-    let mut now = pose(row);
-    let start = now.centre;
-    now.centre += way;
+    let mut now = State::read(row);
+    now.shift(way);
     for plane in world.planes() {
-        lift(world, unit, plane, &mut now);
+        let low = lowest(world, unit, plane, &now.pose);
+        if low < 0.0 {
+            now.shift(&(plane.normal * -low));
+        }
     }
-    let (to, before) = row.split_at_mut(POSE);
-    let mut earlier = read_pose(before);
-    earlier.centre += now.centre - start;
-    write_pose(&now, to);
-    write_pose(&earlier, before);
+    now.write(row);
 }
 
 /// As [`shift`], of a cluster: out of each plane as far as the deepest of its units has to go.
@@ -134,11 +132,9 @@ fn shift_together(world: &World<'_>, cluster_root: usize, way: &Vector3<f32>, ne
     let move_all = |way: &Vector3<f32>, next: &mut [Next]| {
         for (number, _) in members(world.units, cluster_root) {
             let Some(row) = next.get_mut(number) else { continue };
-            let (to, before) = row.split_at_mut(POSE);
-            for row in [to, before] {
-                let pose = read_pose(row);
-                write_pose(&Pose { centre: pose.centre + way, ..pose }, row);
-            }
+            let mut state = State::read(row);
+            state.shift(way);
+            state.write(row);
         }
     };
     move_all(way, next);
@@ -153,15 +149,6 @@ fn shift_together(world: &World<'_>, cluster_root: usize, way: &Vector3<f32>, ne
     }
 }
 
-/// Moves a unit out of a plane.
-fn lift(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &mut Pose) {
-    if plane.height_here(&pose.centre) > unit.radius {
-        return;
-    }
-    let low = lowest(world, unit, plane, pose);
-    pose.centre -= plane.normal * low;
-}
-
 /// Height of the lowest point of a unit over a plane where it is below that, else 0, metres.
 fn lowest(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &Pose) -> f32 {
     let height = plane.height_here(&pose.centre);
@@ -174,7 +161,7 @@ fn lowest(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &Pose) -> f32
     world.hull_of(unit).iter().fold(0.0, lowest)
 }
 
-/// The first pose of a row.
+/// The pose of a row.
 fn pose(row: &Next) -> Pose {
-    read_pose(row.first_chunk::<POSE>().map_or(&[], |pose| pose))
+    crate::geometry::read_pose(row)
 }

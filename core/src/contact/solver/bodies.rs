@@ -3,7 +3,7 @@
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
-    POSE, Pose, dot, norm, read_pose, rotate, rotate_back, swing, turn_between, turned, write_pose,
+    POSE, Pose, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
 };
 use crate::math;
 use crate::scene::{Role, Scene, UnitSlot, members};
@@ -26,8 +26,9 @@ const HELD: f32 = 0.1;
 /// What touches something held and is slower at both ends of a step rests, in gravity x dt: its pose then stays to the
 /// bit.
 const REST: f32 = 0.02;
-/// Speeds up to this many units in the last place of a coordinate a step are rest: far from the origin two poses tell no
-/// slower ones.
+/// Of the speed of what rests: so slow that it makes no difference to rest.
+const SLIGHT: f32 = 1.0 / 64.0;
+/// Of a coordinate: what a gap may be off. Units that fall into that in a step rest too, if they are not too fast.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// Units keep this distance, in radii: hulls that do not overlap have an exact normal.
 const SKIN: f32 = 0.002;
@@ -62,7 +63,7 @@ const FIXED: f32 = 3.0;
 #[cfg(rigidformer_host)]
 const WAKES: usize = 8;
 /// Numbers of a unit.
-pub(super) const BODY: usize = MOVER + POSE + MARKS + SHIFT;
+pub(super) const BODY: usize = MOVER + POSE + MARKS + 2 * SHIFT;
 /// Rounding may take this share of a ball's radius: a ball that is too small would hide a contact.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
@@ -182,16 +183,23 @@ impl<'s> World<'s> {
         share
     }
 
+    /// What rounding may make of a gap between units as far away as this, metres; 0 where units that fall into such gaps in a step
+    /// are much slower than those that rest.
+    pub(super) fn gap_rounding(&self, most: f32) -> f32 {
+        let (rounding, dt) = (ROUNDING * most, self.scene.dt);
+        if rounding > SLIGHT * REST * self.gravity_size * dt * dt { rounding } else { 0.0 }
+    }
+
     /// Slower units rest, m/s.
     pub(super) fn rest(&self, unit: &UnitSlot) -> f32 {
-        let dt = self.scene.dt;
+        let (slow, dt) = (REST * self.gravity_size * self.scene.dt, self.scene.dt);
         let most = match unit.cluster_root() {
             None => unit.current.centre.amax(),
             Some(cluster_root) => self
                 .around(cluster_root)
                 .fold(0.0_f32, |most, (_, unit)| most.max(unit.current.centre.amax())),
         };
-        REST * self.gravity_size * dt + ROUNDING * most / dt
+        slow + slow.min(ROUNDING * most / dt)
     }
 
     /// As [`own_motion`](Self::own_motion), of the cluster that a unit is in, at its centre of mass: means by mass.
@@ -212,17 +220,17 @@ impl<'s> World<'s> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn own_motion(&self, unit: &UnitSlot) -> [Vector3<f32>; 2] {
         let dt = self.scene.dt;
-        let (before, now) = match unit.role {
-            Role::Free => (&unit.previous, &unit.current),
-            Role::Driven => (&unit.current, &unit.target),
+        let way = match unit.role {
+            Role::Free => unit.course.way,
+            Role::Driven => unit.target.centre - unit.current.centre,
             Role::Fixed => return [Vector3::zeros(); 2],
         };
-        let mut velocity = (now.centre - before.centre) / dt;
-        // Two poses tell the mean velocity of the last step; gravity has acted for half a step since its middle.
+        let mut velocity = way / dt;
+        // A way tells the mean velocity of the last step; gravity has acted for half a step since its middle.
         if unit.is_free() {
             velocity += self.scene.gravity * (0.5 * dt);
         }
-        [velocity, turn_between(&before.rotation, &now.rotation) / dt]
+        [velocity, unit.coming_turn() / dt]
     }
 
     /// What gravity adds to the velocity of free units in a substep, m/s.
@@ -235,17 +243,16 @@ impl<'s> World<'s> {
         self.scene.gravity * (0.5 * self.scene.dt * self.scene.dt)
     }
 
-    /// Where a unit with this motion at the end of a step seems to come from.
-    #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn before(&self, now: &Pose, mover: &Mover) -> Pose {
+    /// The way and the turn of a step with this motion at its end.
+    pub(super) fn motion(&self, mover: &Mover) -> [Vector3<f32>; 2] {
         let dt = self.scene.dt;
-        let rotation = turned(&now.rotation, &(mover.spin * -dt));
-        Pose { rotation, centre: (now.centre - mover.velocity * dt) + self.gravity_lag_m() }
+        [mover.velocity * dt - self.gravity_lag_m(), mover.spin * dt]
     }
 
-    /// Where a unit at rest seems to come from: the same each time, so that a state at rest stays to the bit.
-    pub(super) fn lying(&self, now: &Pose) -> Pose {
-        Pose { centre: now.centre + self.gravity_lag_m(), ..*now }
+    /// A unit at rest: the same each time, so that a state at rest stays to the bit.
+    pub(super) fn lying(&self, unit: &UnitSlot) -> State {
+        let course = unit.course.moving(-self.gravity_lag_m(), Vector3::zeros());
+        State { pose: unit.current, course }
     }
 }
 
@@ -396,6 +403,8 @@ pub(super) struct Bodies<'r> {
     poses: &'r mut [[f32; POSE]],
     marks: &'r mut [[f32; MARKS]],
     shifts: &'r mut [[f32; SHIFT]],
+    /// The way and the turn since the step began.
+    moved: &'r mut [[f32; SHIFT]],
     /// Centre and radius.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
@@ -415,6 +424,7 @@ impl<'r> Bodies<'r> {
             poses: rows(&mut rest, count),
             marks: rows(&mut rest, count),
             shifts: rows(&mut rest, count),
+            moved: rows(&mut rest, count),
             #[cfg(rigidformer_host)]
             balls: &mut [],
             #[cfg(rigidformer_host)]
@@ -621,6 +631,7 @@ impl<'r> Bodies<'r> {
         for (number, unit) in world.units.iter().enumerate() {
             self.set_pose(number, &unit.current);
         }
+        self.moved.fill([0.0; SHIFT]);
         for (number, unit) in world.moved() {
             let [velocity, spin] = world.incoming_motion(unit);
             let mover = Mover { velocity, spin, ..Mover::STILL };
@@ -816,17 +827,16 @@ impl<'r> Bodies<'r> {
             if self.is_left_out(number) {
                 continue;
             }
-            let (mover, mut pose) = (self.mover(number), self.pose(number));
-            pose.centre += mover.velocity * time;
+            let mover = self.mover(number);
+            let (mut way, turn) = (mover.velocity * time, mover.spin * time);
             if unit.is_free() && self.marks(number).touched != Touched::Now {
                 // A parabola, exactly.
-                pose.centre -= world.gravity_velocity_change() * (0.5 * time);
+                way -= world.gravity_velocity_change() * (0.5 * time);
             }
             if let Some(arm) = self.arm(number) {
-                pose.centre += swing(&(mover.spin * time), &arm);
+                way += swing(&turn, &arm);
             }
-            pose.rotation = turned(&pose.rotation, &(mover.spin * time));
-            self.set_pose(number, &pose);
+            self.advance_by(number, unit, [way, turn]);
         }
     }
 
@@ -837,20 +847,37 @@ impl<'r> Bodies<'r> {
             // They have moved since.
             self.keep_arms(world, cluster_root);
         }
-        for number in 0..self.poses.len() {
+        for (number, unit) in world.units.iter().enumerate() {
             if self.is_left_out(number) {
                 continue;
             }
             let [mut way, turn] = self.shift(number);
             if way.amax() > 0.0 || turn.amax() > 0.0 {
-                let Pose { rotation, centre } = self.pose(number);
-                let rotation = turned(&rotation, &turn);
                 if let Some(arm) = self.arm(number) {
                     way += swing(&turn, &arm);
                 }
-                self.set_pose(number, &Pose { rotation, centre: centre + way });
+                self.advance_by(number, unit, [way, turn]);
             }
         }
+    }
+
+    /// Moves and turns a unit.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn advance_by(&mut self, number: usize, unit: &UnitSlot, [way, turn]: [Vector3<f32>; 2]) {
+        let Some(row) = self.moved.get_mut(number) else { return };
+        let more = [way.x, way.y, way.z, turn.x, turn.y, turn.z];
+        row.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+        let [x, y, z, ..] = *row;
+        // From where it began, so that rounding does not add up.
+        let way = Vector3::new(x, y, z) + unit.course.centre_low;
+        let rotation = turned(&self.pose(number).rotation, &turn);
+        self.set_pose(number, &Pose { rotation, centre: unit.current.centre + way });
+    }
+
+    /// The way and the turn of a unit since the step began.
+    pub(super) fn moved(&self, number: usize) -> [Vector3<f32>; 2] {
+        let Some([a, b, c, d, e, f]) = self.moved.get(number) else { return Default::default() };
+        [Vector3::new(*a, *b, *c), Vector3::new(*d, *e, *f)]
     }
 
     /// Of a cluster, in the world's axes: as [`inverse_inertia`], of the units' inertia with that of their masses at their arms.

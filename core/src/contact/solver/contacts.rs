@@ -466,7 +466,7 @@ impl<'r> Contacts<'r> {
             restitution: unit.physics.restitution * plane.restitution,
             bounces: world.bounces(unit.radius),
         };
-        self.add(bodies, &pair, &patch);
+        self.add(world, bodies, &pair, &patch);
     }
 
     #[cfg_attr(rigidformer_dsp, inline(never))]
@@ -488,7 +488,7 @@ impl<'r> Contacts<'r> {
                 if let Some((normal, patch)) =
                     approach.meet(world, (&poses, pieces), (&between, known))
                 {
-                    self.add(bodies, &Pair { normal, piece, ..approach.pair }, &patch);
+                    self.add(world, bodies, &Pair { normal, piece, ..approach.pair }, &patch);
                 }
             }
         }
@@ -589,19 +589,21 @@ impl<'r> Contacts<'r> {
                 let _ = patch.points.push((Vector3::new(*x, *y, *z), *gap));
             }
             let (normal, piece) = (Vector3::new(*x, *y, *z), a * MAX_PIECES + b);
-            self.add(bodies, &Pair { normal, piece, ..approach.pair }, &patch);
+            self.add(world, bodies, &Pair { normal, piece, ..approach.pair }, &patch);
         }
     }
 
     /// Makes contacts of a patch's points, counted from the first unit's centre, or from the only one's: as many as there
     /// is room for.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn add(&mut self, bodies: &Bodies<'_>, pair: &Pair, patch: &Patch) {
+    fn add(&mut self, world: &World<'_>, bodies: &Bodies<'_>, pair: &Pair, patch: &Patch) {
         let tangent = tangent(&pair.normal);
         let from = pair.from.map_or(Mover::STILL, |from| bodies.mover(from));
         let to = bodies.mover(pair.to);
         // Those of a cluster are counted from its centre.
         let shifts = [pair.from.and_then(|from| bodies.arm(from)), bodies.arm(pair.to)];
+        let most = |unit: usize| bodies.pose(unit).centre.amax();
+        let rounding = world.gap_rounding(most(pair.to).max(pair.from.map_or(0.0, most)));
         for (number, (point, gap)) in patch.points.iter().enumerate() {
             let Some(row) = self.rows.get_mut(self.count) else { return };
             // What pushes a plane turns nothing, whatever the arm.
@@ -621,7 +623,7 @@ impl<'r> Contacts<'r> {
                 held: Held::Neither,
                 is_middle: patch.has_middle && number == 0,
                 arms,
-                gap: gap - pair.skin,
+                gap: gap - pair.skin - rounding,
                 friction: pair.friction,
                 rebound: if approach < -pair.bounces { -pair.restitution * approach } else { 0.0 },
                 normal: pair.normal,

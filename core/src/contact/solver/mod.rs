@@ -14,7 +14,7 @@ mod patch;
 #[cfg(test)]
 mod tests;
 
-use crate::geometry::{POSE, Pose, product, product_transposed, write_pose};
+use crate::geometry::{STATE, State, squared};
 use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
@@ -22,7 +22,7 @@ use bodies::{Bodies, FAR, Touched, World};
 use contacts::Contacts;
 #[cfg(rigidformer_host)]
 use contacts::SLOTS;
-use nalgebra::Matrix3;
+use nalgebra::Vector3;
 
 /// Room for contacts, a unit: the workspace has a size that is known ahead. A copy with M units has CONTACTS * M of them.
 pub(crate) const CONTACTS: usize = 12;
@@ -31,11 +31,10 @@ pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT +
 /// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, and threads
 /// share one.
 pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
-/// Numbers that [`solve`] tells of a unit: its next pose, the pose it then seems to come from, and how much the network
-/// corrects.
-pub(crate) const PRIOR: usize = 2 * POSE + 1;
+/// Numbers that [`solve`] tells of a unit: its next state, and how much the network corrects.
+pub(crate) const PRIOR: usize = STATE + 1;
 
-const _: () = assert!(SCRATCH <= 480, "every unit of every copy pays for the solver's scratch");
+const _: () = assert!(SCRATCH <= 484, "every unit of every copy pays for the solver's scratch");
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
@@ -43,14 +42,15 @@ const SUBSTEPS_HZ: f32 = 144.0;
 const MOST_SUBSTEPS: u8 = 16;
 /// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
-/// Greater turns of a step are cut, radians: two poses tell turns up to half of one.
+/// Greater turns of a step are cut, radians: a pose and the one before tell turns up to half of one.
 const MOST_TURN: f32 = 3.0;
+/// Smaller turns of a step commute, radians: what that leaves out is less than f32 do.
+const SMALL_TURN: f32 = 3e-4;
 
 /// Where the units of a copy go in a step. `first` is the copy's first unit; `scratch` has [`SCRATCH`] numbers a unit of
 /// the copy, and `prior` [`PRIOR`]:
 ///
-/// - the pose after the step (rotation by columns, then centre),
-/// - the pose that it seems to come from, so that both poses carry velocity and spin at the end of the step,
+/// - the state after the step, whose way and turn carry velocity and spin at the end of the step,
 /// - how much of the network's correction applies, from 0 (the unit rests) to 1 (it touches nothing, or moves briskly).
 ///
 /// Free units that nothing touches go on as [`UnitSlot::free`] says, to the bit.
@@ -85,11 +85,9 @@ fn solve_with<S: Schedule>(
     #[cfg(not(rigidformer_host))]
     let _ = is_done;
     for ((number, unit), row) in world.units.iter().enumerate().zip(prior.chunks_exact_mut(PRIOR)) {
-        let (next, before, share) = outcome(scene, &world, &bodies, (number, unit));
-        let (poses, rest) = row.split_at_mut((2 * POSE).min(row.len()));
-        let (now, ago) = poses.split_at_mut(POSE.min(poses.len()));
-        write_pose(&next, now);
-        write_pose(&before, ago);
+        let (next, share) = outcome(scene, &world, &bodies, (number, unit));
+        let (state, rest) = row.split_at_mut(STATE.min(row.len()));
+        next.write(state);
         rest.fill(share);
     }
 }
@@ -193,33 +191,30 @@ fn outcome(
     world: &World<'_>,
     bodies: &Bodies<'_>,
     (number, unit): (usize, &UnitSlot),
-) -> (Pose, Pose, f32) {
-    let current = unit.current;
+) -> (State, f32) {
     match unit.role {
-        Role::Driven => return (unit.target, current, 0.0),
-        Role::Fixed => return (current, current, 0.0),
+        Role::Driven => return (unit.driven(), 0.0),
+        Role::Fixed => return (unit.resting(), 0.0),
         Role::Free => {}
     }
-    let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
     if let Some(cluster_root) = unit.cluster_root() {
         return outcome_together(scene, world, bodies, (number, unit, cluster_root));
     }
+    let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
     #[cfg(rigidformer_host)]
     if bodies.is_still(number) {
-        return (current, world.lying(&current), -1.0);
+        return (world.lying(unit), -1.0);
     }
     if marks.touched == Touched::Never {
-        return (unit.free(&scene.fall()), current, 0.0);
+        return (unit.free(&scene.fall()), 0.0);
     }
     let (rest, speed) = (world.rest(unit), mover.speed(unit.radius));
     if marks.level < FAR && marks.speed < rest && speed < rest {
-        return (current, world.lying(&current), -1.0);
+        return (world.lying(unit), -1.0);
     }
     let share = world.share(unit, &mover, None);
-    let pose = bodies.pose(number);
-    let next = Pose { rotation: squared(&pose.rotation), ..pose };
     cut(&mut mover, scene.dt);
-    (next, world.before(&next, &mover), share)
+    (moved(world, bodies, (number, unit), &mover), share)
 }
 
 /// As [`outcome`], of a unit in a cluster. What is in one flies freely about its centre of mass alone, so that the solver's own
@@ -230,19 +225,40 @@ fn outcome_together(
     world: &World<'_>,
     bodies: &Bodies<'_>,
     (number, unit, cluster_root): (usize, &UnitSlot, usize),
-) -> (Pose, Pose, f32) {
+) -> (State, f32) {
     let (marks, mut mover) = (bodies.marks(number), bodies.mover(number));
-    let (cluster, pose) = (bodies.cluster(world, cluster_root), bodies.pose(number));
-    let arm = pose.centre - cluster.centre;
+    let cluster = bodies.cluster(world, cluster_root);
+    let arm = bodies.pose(number).centre - cluster.centre;
     let touched = marks.touched != Touched::Never;
     let (rest, speed) = (world.rest(unit), mover.speed(cluster.radius));
     if touched && marks.level < FAR && marks.speed < rest && speed < rest {
-        return (unit.current, world.lying(&unit.current), -1.0);
+        return (world.lying(unit), -1.0);
     }
     let share = if touched { world.share(unit, &mover, Some(&arm)) } else { 0.0 };
-    let next = Pose { rotation: squared(&pose.rotation), ..pose };
     cut(&mut mover, scene.dt);
-    (next, world.before(&next, &mover.at(&arm)), share)
+    (moved(world, bodies, (number, unit), &mover.at(&arm)), share)
+}
+
+/// Where the solver has taken a unit that moves so at the end.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn moved(
+    world: &World<'_>,
+    bodies: &Bodies<'_>,
+    (number, unit): (usize, &UnitSlot),
+    mover: &bodies::Mover,
+) -> State {
+    let [way, turn] = bodies.moved(number);
+    let mut next = unit.state();
+    next.shift(&way);
+    // Small turns add up, and keep the digits that a matrix rounds off.
+    if turn.amax() < SMALL_TURN {
+        next.turn(&turn);
+    } else {
+        next.pose.rotation = squared(&bodies.pose(number).rotation);
+        next.course.turn_low = Vector3::zeros();
+    }
+    let [way, turn] = world.motion(mover);
+    State { course: next.course.moving(way, turn), ..next }
 }
 
 /// Cuts a spin that two poses cannot tell.
@@ -251,10 +267,4 @@ fn cut(mover: &mut bodies::Mover, dt: f32) {
     if turn > MOST_TURN {
         mover.spin *= MOST_TURN / turn;
     }
-}
-
-/// A rotation without what rounding has added in a step, to the first order: R (3 - RᵀR) / 2.
-fn squared(rotation: &Matrix3<f32>) -> Matrix3<f32> {
-    let square = product(&product_transposed(rotation, rotation), rotation);
-    rotation * 1.5 - square * 0.5
 }

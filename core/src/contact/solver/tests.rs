@@ -5,12 +5,13 @@ use crate::contact::ground::Plane;
 use crate::contact::impacts::inertia;
 use crate::contact::pieces::Pieces;
 use crate::geometry::{
-    Hull, Precision, extreme_points, norm, read_pose, separation, turn_between, turned,
+    Hull, Pose, Precision, extreme_points, norm, product, read_pose, separation, turn_between,
+    turned,
 };
 use crate::kernels::{Portable, Serial};
 use crate::measure::Measure;
 use crate::scene::{Physics, Unit};
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
 #[cfg(feature = "deform")]
@@ -55,7 +56,6 @@ impl World {
             mass: 1.0,
             radius: crate::geometry::radius(points),
             inertia_m2: inertia(&Unit::new(points, physics), points, is_ball, &Measure::SI),
-            previous: pose,
             current: pose,
             target: pose,
             ..UnitSlot::EMPTY
@@ -134,12 +134,7 @@ impl World {
     fn step(&mut self) -> Vec<[f32; PRIOR]> {
         let rows = self.solve();
         for (slot, row) in self.slots.iter_mut().zip(&rows) {
-            slot.current = read_pose(&row[..POSE]);
-            if row[2 * POSE] == 0.0 {
-                // In place of the rigid fit that each step ends in: free motion does not keep rotations square.
-                slot.current.rotation = squared(&slot.current.rotation);
-            }
-            slot.previous = read_pose(&row[POSE..]);
+            slot.go_to(row);
         }
         rows
     }
@@ -151,18 +146,19 @@ impl World {
     }
 
     fn bits(&self) -> Vec<u32> {
-        let poses = self.slots.iter().flat_map(|slot| [slot.previous, slot.current]);
-        let numbers =
-            poses.flat_map(|p| p.rotation.iter().chain(&p.centre).copied().collect::<Vec<_>>());
-        numbers.map(f32::to_bits).collect()
+        let row = |slot: &UnitSlot| {
+            let mut row = [0.0; STATE];
+            slot.state().write(&mut row);
+            row.map(f32::to_bits)
+        };
+        self.slots.iter().flat_map(row).collect()
     }
 
     /// Gives a unit a velocity and a spin, as two frames tell them.
     fn throw(&mut self, unit: usize, velocity: Vector3<f32>, spin: Vector3<f32>) {
         let (dt, gravity) = (self.dt, self.gravity);
         let slot = &mut self.slots[unit];
-        slot.previous.centre = slot.current.centre - velocity * dt + gravity * (0.5 * dt * dt);
-        slot.previous.rotation = turned(&slot.current.rotation, &(spin * -dt));
+        slot.course = slot.course.moving(velocity * dt - gravity * (0.5 * dt * dt), spin * dt);
     }
 }
 
@@ -220,8 +216,7 @@ fn what_touches_nothing_falls_freely_to_the_bit() {
     let unit = world.slots[0];
     let row = world.solve()[0];
     let fall = world.scene(1).fall();
-    assert_eq!(read_pose(&row), unit.free(&fall));
-    assert_eq!((read_pose(&row[POSE..]), row[2 * POSE]), (unit.current, 0.0));
+    assert_eq!((State::read(&row), row[STATE]), (unit.free(&fall), 0.0));
 }
 
 #[test]
@@ -236,8 +231,8 @@ fn driven_and_fixed_units_go_where_they_are_told() {
         world.slots[0].target.centre.x += 0.5 * world.dt;
         let (target, fixed) = (world.slots[0].target, world.slots[2].current);
         let rows = world.step();
-        assert_eq!((read_pose(&rows[0]), rows[0][2 * POSE]), (target, 0.0));
-        assert_eq!((read_pose(&rows[2]), read_pose(&rows[2][POSE..])), (fixed, fixed));
+        assert_eq!((read_pose(&rows[0]), rows[0][STATE]), (target, 0.0));
+        assert_eq!(State::read(&rows[2]), State::at(fixed));
     }
     let centre = world.slots[1].current.centre;
     assert!((1.19..1.25).contains(&centre.x) && (centre.z - 0.1).abs() < 2e-3, "{centre}");
@@ -251,12 +246,12 @@ fn a_box_observed_at_rest_comes_to_rest_and_stays_to_the_bit() {
         let began = world.slots[0].current;
         let mut shares = Vec::new();
         for _ in 0..4 {
-            shares.push(world.step()[0][2 * POSE]);
+            shares.push(world.step()[0][STATE]);
         }
         assert_eq!(shares[3], -1.0, "{shares:?}");
         let bits = world.bits();
         for _ in 0..480 {
-            assert_eq!(world.step()[0][2 * POSE], -1.0);
+            assert_eq!(world.step()[0][STATE], -1.0);
             assert_eq!(world.bits(), bits);
         }
         let moved = world.slots[0].current.centre - began.centre;
@@ -377,7 +372,7 @@ fn a_rod_turns_as_its_inertia_says() {
         world.throw(0, Vector3::new(0.0, 0.0, -speed), Vector3::zeros());
         world.step();
         let slot = &world.slots[0];
-        let spin = turn_between(&slot.previous.rotation, &slot.current.rotation) / world.dt;
+        let spin = slot.course.turn() / world.dt;
         let (lever, across) = (end.x, moment.unwrap_or(mass * (0.16 + 4e-4) / 12.0));
         let impulse = mass * speed / (1.0 + mass * lever * lever / across);
         let expected = -lever * impulse / across;
@@ -452,12 +447,12 @@ fn boxes_in_the_air_keep_their_momentum() {
             world.throw(unit, velocity, random_vector(&mut state));
         }
         let momentum = |world: &World| {
-            let way = |slot: &UnitSlot| slot.current.centre - slot.previous.centre;
+            let way = |slot: &UnitSlot| slot.course.way;
             world.slots.iter().map(way).sum::<Vector3<f32>>() / world.dt
         };
         let (before, mut met) = (momentum(&world), false);
         for _ in 0..24 {
-            met |= world.step()[0][2 * POSE] > 0.0 || world.slots[0].current.centre.x > -0.2;
+            met |= world.step()[0][STATE] > 0.0 || world.slots[0].current.centre.x > -0.2;
         }
         assert!(met);
         assert!(norm(&(momentum(&world) - before)) < 1e-4, "{}", momentum(&world) - before);
@@ -493,7 +488,7 @@ fn overlaps_of_any_depth_stay_bounded() {
             for ((slot, before), row) in world.slots.iter().zip(before).zip(&rows) {
                 let moved = norm(&(slot.current.centre - before));
                 assert!(moved < 0.5, "{round}: {moved}");
-                assert!((-1.0..1e3).contains(&row[2 * POSE]));
+                assert!((-1.0..1e3).contains(&row[STATE]));
                 let square = slot.current.rotation * slot.current.rotation.transpose();
                 assert!((square - Matrix3::identity()).amax() < 1e-5, "{round}: {square}");
             }
@@ -552,8 +547,7 @@ fn copies_do_not_know_of_each_other() {
         solve(Serial(Portable), &world.scene(2), 3 * copy, (&mut scratch, prior));
     }
     assert_eq!(prior[0], prior[1]);
-    let before = read_pose(&prior[0][POSE..]);
-    assert_ne!(before, world.slots[0].current, "it touches the ground");
+    assert_ne!(State::read(&prior[0]).course, world.slots[0].course, "it touches the ground");
 }
 
 /// A small box falls to the ground between the walls of a table, and a large one comes to rest on the table's plate. To a
@@ -619,7 +613,7 @@ fn check_against_the_lab(cases: &str, bond: impl Fn(&mut World, &[Vec<f32>])) {
                 let away = norm(&(pose.centre - vector(row, end)));
                 let rotation = turned(&Matrix3::identity(), &vector(row, end + 3));
                 let turn = norm(&turn_between(&rotation, &pose.rotation));
-                let share = found[2 * POSE] - row[end + 6];
+                let share = found[STATE] - row[end + 6];
                 assert!(away < 1e-4 && turn < 1e-3, "{name}: {away} m, {turn} rad");
                 assert!(share.abs() * world.dt < 1e-4, "{name}: {share}"); // a way too, in a step
             }
@@ -651,7 +645,7 @@ fn how_long_ten_touching_balls_take() {
 }
 
 /// Where units go that a step takes there, after `moved` has changed it.
-fn kept_apart(world: &mut World, moved: impl Fn(&mut [[f32; 2 * POSE]])) -> Vec<[f32; 2 * POSE]> {
+fn kept_apart(world: &mut World, moved: impl Fn(&mut [[f32; STATE]])) -> Vec<[f32; STATE]> {
     let rows = world.solve();
     let mut next: Vec<_> = rows.iter().map(|row| *row.first_chunk().unwrap()).collect();
     moved(&mut next);
@@ -668,17 +662,18 @@ fn corrected_units_do_not_overlap() {
     world.add(&cuboid(0.1, 0.1, 0.1), at(0.0, 0.0, 1.0)).mass = 3.0;
     world.add(&cuboid(0.1, 0.1, 0.1), at(0.201, 0.05, 1.0));
     world.add(&cuboid(0.1, 0.1, 0.1), at(2.0, 0.0, 1.0));
-    let corrected = |next: &mut [[f32; 2 * POSE]]| {
+    let corrected = |next: &mut [[f32; STATE]]| {
         next[1][9] -= 0.021;
-        next[1][POSE + 9] -= 0.021;
     };
     let free = kept_apart(&mut world, |_| ());
     let next = kept_apart(&mut world, corrected);
     // Centres are the last three numbers of a pose.
     let way = |unit: usize, number: usize| next[unit][number] - free[unit][number];
-    for start in [9, POSE + 9] {
-        assert!((way(0, start) + 0.005).abs() < 1e-4, "{}", way(0, start));
-        assert!((way(1, start) + 0.021 - 0.015).abs() < 1e-4, "{}", way(1, start));
+    assert!((way(0, 9) + 0.005).abs() < 1e-4, "{}", way(0, 9));
+    assert!((way(1, 9) + 0.021 - 0.015).abs() < 1e-4, "{}", way(1, 9));
+    for unit in 0..2 {
+        let [moved, freely] = [&next, &free].map(|rows| State::read(&rows[unit]).course);
+        assert_eq!((moved.way, moved.turn()), (freely.way, freely.turn()), "no velocity");
     }
     assert_eq!((next[0][10], next[1][11]), (free[0][10], free[1][11]));
     assert_eq!(next[2], free[2]);
@@ -712,8 +707,8 @@ fn what_rests_is_not_kept_apart() {
     let rows = world.solve();
     let next = kept_apart(&mut world, |_| ());
     for (row, next) in rows.iter().zip(&next) {
-        assert_eq!(row[2 * POSE], -1.0);
-        assert_eq!(row[..2 * POSE], next[..]);
+        assert_eq!(row[STATE], -1.0);
+        assert_eq!(row[..STATE], next[..]);
     }
 }
 
@@ -783,7 +778,7 @@ fn what_flies_alone_is_left_out() {
             let is_shot = (5..8).contains(&number);
             let speed = if is_shot { 0.8 } else { 0.04 };
             let way = Vector3::new(random(), random(), random()) * speed;
-            unit.previous.centre -= way;
+            unit.course = unit.course.moving(way, Vector3::zeros());
             unit.mass = if is_shot { 50.0 } else { 0.3 };
         }
         for _ in 0..12 {

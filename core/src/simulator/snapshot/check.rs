@@ -2,13 +2,13 @@
 
 use super::identity::identity;
 use super::layout::{
-    BALL, COMMANDED, COPY_BOND, COPY_UNIT, END, HEAD, MAGIC, PAIR, PATCH, PIECES, PLANE,
-    QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
+    BALL, COMMANDED, COPY_BOND, COPY_COURSE, COPY_UNIT, END, HEAD, MAGIC, PAIR, PATCH, PIECES,
+    PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
 use crate::error::SnapshotError;
-use crate::geometry::{POSE, dot};
+use crate::geometry::{COURSE, POSE, dot};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES};
 use crate::measure::{Measure, is_similar};
 use crate::scene::{Physics, Role};
@@ -22,6 +22,8 @@ use nalgebra::Vector3;
 const FAR: f32 = 1e9;
 /// The columns of a rotation differ from unit vectors at right angles by less: long rollouts round.
 const SKEW: f32 = 0.1;
+/// Greater turns of a step are none, radians along an axis.
+const MOST_TURN: f32 = 4.0;
 /// The greatest next name: units that are added later have room for theirs.
 const MOST_ID: u64 = 1 << 62;
 /// Bodies of their own behind the last that a caller can name.
@@ -240,7 +242,7 @@ impl Simulator<'_, '_> {
             return Err(SnapshotError::LeftOut);
         }
         let [length, mass] = [HEAD + 9, HEAD + 10].map(|at| words.number(at));
-        let measure = Measure::new(length, mass);
+        let measure = Measure::new(length, mass).from(words.vector(HEAD + 11));
         let mut checked = Checked {
             words,
             copies,
@@ -310,9 +312,12 @@ impl Simulator<'_, '_> {
         // A measure that no units can have would make numbers that are none.
         let is_sound = match is_similar(config) {
             true => [measure.length(), measure.mass()].iter().all(|v| (1e-12..=1e12).contains(v)),
-            false => measure == Measure::SI,
+            false => measure.from(Vector3::zeros()) == Measure::SI,
         };
         ensure(is_sound, HEAD + 9)?;
+        let origin = measure.origin();
+        let is_own = self.about(&measure, &origin).origin() == origin;
+        ensure(is_own && origin.iter().all(|v| v.abs() <= 2.0 * MAX_COORDINATE_M), HEAD + 11)?;
         let dt_s = checked.dt_s();
         if dt_s == 0.0 {
             return ensure(checked.units == 0 && dt_s.is_sign_positive(), HEAD + 5);
@@ -439,7 +444,7 @@ impl Simulator<'_, '_> {
             }
             let radius = words.number(at + 5);
             ensure(radius > 0.0 && radius <= FAR, at + 5)?;
-            for pose in 0..4 {
+            for pose in 0..3 {
                 let place = at + 6 + pose * POSE;
                 let pose = words.pose(place);
                 ensure(pose.is_sound(FAR), place)?;
@@ -449,6 +454,11 @@ impl Simulator<'_, '_> {
                 let is_rotation = lengths.iter().chain(&cosines).all(|v| *v <= SKEW);
                 ensure(is_rotation && dot(&x.cross(&y), &z) > 0.0, place)?;
             }
+            let course = at + COPY_COURSE;
+            within(words, course..course + COURSE, FAR)?;
+            // Of at most half a turn, and what a rotation rounds off.
+            within(words, course + COURSE - 3..course + COURSE, MOST_TURN)?;
+            within(words, course + 3..course + 6, SKEW)?;
         }
         let has_joints = checked.records().any(|unit| unit.parent > 0);
         for bond in 0..checked.bonds {

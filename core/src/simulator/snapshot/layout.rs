@@ -1,22 +1,24 @@
 //! Where the words of a snapshot are, and what some of them mean.
 
-use crate::geometry::POSE;
+use crate::geometry::{COURSE, POSE};
 use crate::scene::Role;
 
 /// What a snapshot begins with.
 pub(super) const MAGIC: u32 = u32::from_le_bytes(*b"RFST");
 /// Of this layout; it rises with each change.
-pub(super) const VERSION: u32 = 1;
+pub(super) const VERSION: u32 = 2;
 
 /// Words before what all copies share.
 pub(super) const HEAD: usize = 7;
 /// Words of that before the planes.
-pub(super) const SCENE: usize = 11;
+pub(super) const SCENE: usize = 14;
 /// Words of a plane, a unit, a pair of bonded units, and in a copy of a unit and a bond.
 pub(super) const PLANE: usize = 6;
 pub(super) const UNIT: usize = 19;
 pub(super) const PAIR: usize = 2;
-pub(super) const COPY_UNIT: usize = 6 + 4 * POSE;
+pub(super) const COPY_UNIT: usize = COPY_COURSE + COURSE;
+/// Words of it before the course.
+pub(super) const COPY_COURSE: usize = 6 + 3 * POSE;
 pub(super) const COPY_BOND: usize = 6;
 /// Words of a point of a soft unit, at rest and in a copy.
 pub(super) const REST: usize = 4;

@@ -186,6 +186,7 @@ impl Simulator<'_, '_> {
         to.vector(&given.gravity);
         to.number(scene.measure.length());
         to.number(scene.measure.mass());
+        to.vector(&scene.measure.origin());
         for plane in &given.planes {
             to.vector(&plane.normal);
             to.numbers([plane.offset_m, plane.friction, plane.restitution]);
@@ -251,9 +252,10 @@ impl Simulator<'_, '_> {
             to.numbers([physics.mass_kg, physics.friction, physics.restitution]);
             to.words([unit.body, u32::from(unit.is_quarantined())]);
             to.number(unit.radius);
-            for pose in [&unit.first, &unit.previous, &unit.current, &unit.target] {
+            for pose in [&unit.first, &unit.current, &unit.target] {
                 to.pose(pose);
             }
+            to.numbers(unit.course.row());
         }
         #[cfg(feature = "deform")]
         for bond in self.bonds.of(copy) {
@@ -268,7 +270,7 @@ impl Simulator<'_, '_> {
         #[cfg(feature = "deform")]
         for unit in units().filter(|unit| unit.is_soft()) {
             for row in unit.start..unit.start + unit.count {
-                to.vector(&scene.soft.previous(row));
+                to.vector(&scene.soft.increment(row));
                 to.vector(&scene.soft.current(row));
             }
         }

@@ -1,7 +1,7 @@
 //! A simulator's state from a snapshot that was checked: nothing here fails.
 
 use super::check::Checked;
-use super::layout::{COMMANDED, QUARANTINES};
+use super::layout::{COMMANDED, COPY_COURSE, QUARANTINES};
 use crate::geometry::POSE;
 use crate::scene::{Quarantine, Role, UnitId, UnitSlot};
 use crate::simulator::state::Simulator;
@@ -114,10 +114,11 @@ impl Simulator<'_, '_> {
                 _ => slot.set_quarantine(Quarantine::Held, Role::Fixed),
             }
             slot.radius = words.number(at + 5);
-            let poses = [&mut slot.first, &mut slot.previous, &mut slot.current, &mut slot.target];
+            let poses = [&mut slot.first, &mut slot.current, &mut slot.target];
             for (pose, place) in poses.into_iter().zip(0..) {
                 *pose = words.pose(at + 6 + place * POSE);
             }
+            slot.course = words.course(at + COPY_COURSE);
             // Clusters are found anew.
             #[cfg(feature = "deform")]
             (slot.member = crate::structure::member::Member::ALONE);
@@ -159,8 +160,8 @@ impl Simulator<'_, '_> {
             let unit = self.scene.units().get(number).copied().filter(UnitSlot::is_soft);
             let Some(unit) = unit else { continue };
             for row in unit.start..unit.start + unit.count {
-                let (previous, current) = (words.vector(at), words.vector(at + 3));
-                self.scene.soft.set_state(row, &previous, &current);
+                let (way, current) = (words.vector(at), words.vector(at + 3));
+                self.scene.soft.set_state(row, &way, &current);
                 if let Some(point) = self.scene.points.get_mut(row) {
                     *point = Point3::from(current - unit.current.centre);
                 }

@@ -1,6 +1,6 @@
 //! A snapshot as words of 32 bits, least byte first, and their checksum.
 
-use crate::geometry::{POSE, Pose, read_pose, write_pose};
+use crate::geometry::{COURSE, Course, POSE, Pose, read_pose, write_pose};
 use core::ops::Range;
 use nalgebra::Vector3;
 
@@ -142,11 +142,15 @@ impl<'b> Words<'b> {
     }
 
     pub(super) fn pose(&self, at: usize) -> Pose {
-        let mut row = [0.0; POSE];
-        for (place, number) in row.iter_mut().enumerate() {
-            *number = self.number(at + place);
-        }
-        read_pose(&row)
+        read_pose(&self.row::<POSE>(at))
+    }
+
+    pub(super) fn course(&self, at: usize) -> Course {
+        Course::read(&self.row::<COURSE>(at))
+    }
+
+    fn row<const N: usize>(&self, at: usize) -> [f32; N] {
+        core::array::from_fn(|place| self.number(at + place))
     }
 
     /// The first of some words that is not a number within a limit.

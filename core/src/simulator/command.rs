@@ -58,7 +58,7 @@ impl Simulator<'_, '_> {
             let mut census = Census::default();
             census.take(self.model.config(), unit);
             let (measure, time) = self.measured(self.given.dt_s, &census, &place)?;
-            // Only the first unit moves the origin.
+            // Of another unit's measure only the length counts: what is there keeps its digits.
             let origin = if number == 0 { measure } else { self.scene.measure }.origin();
             let measure = measure.from(origin);
             // There is no free unit for gravity to matter to.
@@ -68,6 +68,11 @@ impl Simulator<'_, '_> {
             self.set_time(time);
         } else if number == 0 {
             self.set_measure(self.about(&self.scene.measure, &place));
+        }
+        if number > 0 && place.amax() < self.scene.measure.origin().amax() {
+            let measure = self.about(&self.scene.measure, &place);
+            self.move_origin(&measure);
+            self.set_measure(measure);
         }
         Ok(self.add_posed(unit, previous, current))
     }

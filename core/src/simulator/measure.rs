@@ -150,7 +150,7 @@ pub(super) fn check_dt(dt_s: f32, config: &ModelConfig) -> Result<(), ObserveErr
 }
 
 impl Simulator<'_, '_> {
-    /// A time step in a scene of such units, the first of which is about a place.
+    /// A time step in a scene of such units, the nearest of which is about a place.
     pub(super) fn measured(
         &self,
         dt_s: f32,

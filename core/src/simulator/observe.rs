@@ -74,14 +74,12 @@ impl Simulator<'_, '_> {
         check_dt(dt_s, self.model.config())?;
         let units = units.into_iter();
         let (mut room, mut census) = (self.room(), Census::default());
-        let mut place = Vector3::zeros();
+        let mut place = None;
         for (number, seen) in units.clone().enumerate() {
             let Observed { unit, current } = seen.borrow();
             room.take(number, unit)?;
             census.take(self.model.config(), unit);
-            if let Some(first) = current.first().filter(|_| number == 0) {
-                place = first.coords;
-            }
+            place = nearer(place, current.first().map(|first| first.coords));
             #[cfg(feature = "deform")]
             crate::structure::soft::check(&self.model.config().elastic, number, unit)?;
             if unit.points.len() != current.len() {
@@ -92,7 +90,7 @@ impl Simulator<'_, '_> {
             check_extent(number, current)?;
         }
         room.taken()?;
-        self.begin(self.measured(dt_s, &census, &place)?);
+        self.begin(self.measured(dt_s, &census, &place.unwrap_or_default())?);
         let mut observation = Observation::default();
         for seen in units {
             let Observed { unit, current } = seen.borrow();
@@ -137,12 +135,10 @@ impl Simulator<'_, '_> {
         check_dt(dt_s, self.model.config())?;
         let units = units.into_iter();
         let (mut room, mut census) = (self.room(), Census::default());
-        let mut place = Vector3::zeros();
+        let mut place = None;
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
-            if number == 0 {
-                place = current.translation.vector;
-            }
+            place = nearer(place, Some(current.translation.vector));
             #[cfg(feature = "deform")]
             if unit.soft.is_some() {
                 return Err(ObserveError::SoftPose { unit: number });
@@ -153,7 +149,7 @@ impl Simulator<'_, '_> {
             check_pose(number, current)?;
         }
         room.taken()?;
-        self.begin(self.measured(dt_s, &census, &place)?);
+        self.begin(self.measured(dt_s, &census, &place.unwrap_or_default())?);
         for seen in units {
             let Posed { unit, previous, current } = seen.borrow();
             self.add_posed(unit, previous, current);
@@ -255,6 +251,22 @@ impl Simulator<'_, '_> {
             if let Some(slot) = self.scene.units_mut().get_mut(number) {
                 *slot = unit;
             }
+        }
+        self.index_from(0);
+    }
+
+    /// Counts the units' places from another measure's origin: [`set_measure`](Self::set_measure) comes next.
+    pub(super) fn move_origin(&mut self, measure: &Measure) {
+        let [old, new] = [&self.scene.measure, measure].map(|measure| measure.origin().cast());
+        let way: Vector3<f64> = (old - new) / f64::from(measure.length());
+        for unit in self.scene.units_mut() {
+            for pose in [&mut unit.first, &mut unit.target] {
+                pose.centre = (pose.centre.cast::<f64>() + way).map(|v| v as f32);
+            }
+            let (high, low) = (&mut unit.current.centre, &mut unit.course.centre_low);
+            let whole = (high.cast::<f64>() + low.cast::<f64>()) + way;
+            *high = whole.map(|v| v as f32);
+            *low = (whole - high.cast::<f64>()).map(|v| v as f32);
         }
         self.index_from(0);
     }
@@ -449,6 +461,15 @@ impl Room {
 fn copy_points(from: &[Point3<f32>], to: &mut [Point3<f32>]) {
     for (to, from) in to.iter_mut().zip(from) {
         *to = *from;
+    }
+}
+
+/// The place that is nearer to the world's origin: a scene counts places from about that of its nearest unit, so that no order
+/// and no unit far away matters.
+fn nearer(place: Option<Vector3<f32>>, other: Option<Vector3<f32>>) -> Option<Vector3<f32>> {
+    match (place, other) {
+        (Some(place), Some(other)) if other.amax() < place.amax() => Some(other),
+        (place, other) => place.or(other),
     }
 }
 

@@ -9,7 +9,7 @@ use rigidformer_tests::with_simulator;
 const HALF_M: f32 = 0.125;
 const WOOD: Physics = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.3 };
 const STEPS_S: [f32; 7] = [1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1.0 / 24.0, 0.1];
-/// Places of a scene count from near the first one: the last three are as far from that as the first.
+/// Places of a scene count from near its unit: the last three are as far from that as the first.
 const HEIGHTS_M: [f32; 5] = [0.0, 10.0, 1024.0, 102_400.0, 999_936.0];
 const G: f32 = 9.81;
 
@@ -107,5 +107,30 @@ fn a_box_slides_as_friction_says_at_any_step_and_height() {
                 assert!(!is_near || error.abs() < most, "{dt_s} {height_m}: {error}");
             });
         }
+    }
+}
+
+/// A sensor's nonsense among the units takes no digits from the others, whichever comes first.
+#[test]
+fn a_unit_far_away_takes_nothing_from_the_others() {
+    let (near, far) =
+        (Isometry3::translation(0.3, 0.2, 1.0), Isometry3::translation(1e5, 0.0, 1.0));
+    let rollout = |poses: &[Isometry3<f32>], near: usize| {
+        with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+            simulator.set_dt(0.01).unwrap();
+            let ids: Vec<_> = poses
+                .iter()
+                .map(|pose| simulator.add(&Unit::new(&cube(), WOOD), pose, pose).unwrap())
+                .collect();
+            let began = centre(simulator, ids[near]);
+            (0..10).for_each(|_| drop(simulator.step().unwrap()));
+            (began, centre(simulator, ids[near]))
+        })
+    };
+    let (began, alone) = rollout(&[near], 0);
+    for (poses, number) in [([far, near], 1), ([near, far], 0)] {
+        let (began_here, here) = rollout(&poses, number);
+        assert_eq!(began_here, began);
+        assert!((here - alone).norm() < 1e-6, "{here} {alone}");
     }
 }

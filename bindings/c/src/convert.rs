@@ -5,7 +5,8 @@ use crate::types::rf_status::{
 };
 use crate::types::{
     RF_MAX_BODY, RF_MAX_PIECES, RF_MAX_PLANES, RF_OWN_BODY, RF_ROLE_DRIVEN, RF_ROLE_FIXED,
-    RF_ROLE_FREE, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose, rf_velocity,
+    RF_ROLE_FREE, rf_centre, rf_detail, rf_internal_pose, rf_physics, rf_plane, rf_pose,
+    rf_velocity,
 };
 use core::iter::repeat;
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
@@ -301,6 +302,12 @@ impl From<rf_velocity> for Velocity {
     fn from(velocity: rf_velocity) -> Self {
         let rf_velocity { linear_m_s, angular_rad_s } = velocity;
         Velocity { linear_m_s: linear_m_s.into(), angular_rad_s: angular_rad_s.into() }
+    }
+}
+
+impl From<Point3<f64>> for rf_centre {
+    fn from(centre: Point3<f64>) -> Self {
+        rf_centre { x: centre.x, y: centre.y, z: centre.z }
     }
 }
 

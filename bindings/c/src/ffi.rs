@@ -10,8 +10,8 @@ use crate::types::rf_status::{
     RF_ERROR_NULL, RF_ERROR_OVERLAP, RF_OK,
 };
 use crate::types::{
-    RF_ABI_VERSION, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose, rf_simulator,
-    rf_step_report, rf_unit_id, rf_units, rf_velocity,
+    RF_ABI_VERSION, rf_centre, rf_config, rf_detail, rf_internal_pose, rf_observation, rf_pose,
+    rf_simulator, rf_step_report, rf_unit_id, rf_units, rf_velocity,
 };
 use core::ffi::{c_char, c_void};
 use rigidformer_core::kernels::in_own_environment;
@@ -34,6 +34,53 @@ pub extern "C" fn rf_abi_version() -> u32 {
 pub extern "C" fn rf_error_string(code: i32) -> *const c_char {
     // Never NULL, so that a program can print it without a check.
     text(code).as_ptr()
+}
+
+/// Takes a pose from seven numbers whose quaternion has w first, as those of Python, scene files and
+/// recordings. Nothing is checked: the function that takes the pose does that.
+///
+/// @param numbers  x, y, z in metres, then w, x, y, z
+/// @param pose     out: the pose
+/// @return RF_OK, RF_ERROR_NULL or RF_ERROR_ALIGNMENT
+///
+/// # Safety
+/// `numbers` is seven floats or NULL, `pose` may be written or is NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_pose_from_wxyz(numbers: *const f32, pose: *mut rf_pose) -> rf_status {
+    let convert = || {
+        let pose = output(pose, 1)?;
+        // SAFETY: the caller's promise; the rest was checked.
+        if let [x, y, z, w, i, j, k] = *unsafe { input(numbers, 7)? } {
+            // SAFETY: as above.
+            unsafe { pose.write(rf_pose { position: [x, y, z], quaternion: [i, j, k, w] }) };
+        }
+        Ok(())
+    };
+    status(convert())
+}
+
+/// Writes a pose as seven numbers whose quaternion has w first.
+///
+/// @param pose     the pose
+/// @param numbers  out: x, y, z in metres, then w, x, y, z
+/// @return as rf_pose_from_wxyz
+///
+/// # Safety
+/// `pose` is a pose or NULL, and there is room for seven floats or `numbers` is NULL.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_pose_to_wxyz(pose: *const rf_pose, numbers: *mut f32) -> rf_status {
+    let convert = || {
+        let numbers = output(numbers, 7)?;
+        // SAFETY: the caller's promise; the rest was checked.
+        for rf_pose { position: [x, y, z], quaternion: [i, j, k, w] } in unsafe { input(pose, 1)? }
+        {
+            let row = [x, y, z, w, i, j, k].map(|number| *number);
+            // SAFETY: as above; there is room for seven.
+            unsafe { numbers.cast::<[f32; 7]>().write(row) };
+        }
+        Ok(())
+    };
+    status(convert())
 }
 
 /// How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
@@ -427,6 +474,26 @@ pub unsafe extern "C" fn rf_velocities(
             Ok(())
         })
     }
+}
+
+/// Centres of all units with all digits that the simulator keeps, in the order of rf_poses. Floats hold
+/// no more than 6 cm at 1000 km.
+///
+/// @param simulator  the simulator
+/// @param centres    out: (rf_unit_count) centres, x, y and z in the world, metres
+/// @param capacity   how many there is room for
+/// @return as rf_poses
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_centres(
+    simulator: *const rf_simulator,
+    centres: *mut rf_centre,
+    capacity: usize,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe { by_unit(simulator, centres, capacity, |unit| unit.centre().into()) }
 }
 
 /// Poses of all units as the simulator keeps them, about the units' own centres: the bits by which

@@ -299,7 +299,7 @@ pub struct rf_physics {
 }
 
 /// A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of
-/// Python, scene files and recordings have w first.
+/// Python, scene files and recordings have w first: rf_pose_from_wxyz.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct rf_pose {
@@ -328,6 +328,18 @@ pub struct rf_internal_pose {
     pub rotation: [f32; 9],
     /// The unit's centre in the world, metres.
     pub centre: [f32; 3],
+}
+
+/// A unit's centre of mass in the world, metres, with all digits that the simulator keeps.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct rf_centre {
+    /// Along x.
+    pub x: f64,
+    /// Along y.
+    pub y: f64,
+    /// Along z.
+    pub z: f64,
 }
 
 /// What an accepted observation was like.

@@ -167,5 +167,31 @@ fn velocities_are_read_and_set() {
         assert_eq!(rf_unit_velocity(handle, 99, &mut found), RF_ERROR_NO_SUCH_ID);
         assert_eq!(rf_set_velocity(handle, lower, null()), RF_ERROR_NULL);
         assert_eq!(rf_velocities(handle, null_mut(), 2), RF_ERROR_NULL);
+        let mut centres = [rf_centre::default(); 2];
+        assert_eq!(rf_centres(handle, centres.as_mut_ptr(), 1), RF_ERROR_BUFFER);
+        assert_eq!(rf_centres(handle, null_mut(), 2), RF_ERROR_NULL);
+        assert_eq!(rf_centres(handle, centres.as_mut_ptr(), 2), RF_OK);
+        let mut poses = [rf_internal_pose { rotation: [0.0; 9], centre: [0.0; 3] }; 2];
+        assert_eq!(rf_internal_poses(handle, poses.as_mut_ptr(), 2), RF_OK);
+        for (rf_centre { x, y, z }, pose) in centres.into_iter().zip(poses) {
+            assert_eq!([x, y, z].map(|v| v as f32), pose.centre);
+        }
     }
+}
+
+#[test]
+fn poses_with_w_first_are_taken_and_written() {
+    let numbers = [1.0, 2.0, 3.0, 0.5, 0.1, 0.2, 0.3];
+    let mut pose = rf_pose { position: [0.0; 3], quaternion: [0.0; 4] };
+    let mut back = [0.0; 7];
+    unsafe {
+        assert_eq!(rf_pose_from_wxyz(numbers.as_ptr(), &mut pose), RF_OK);
+        assert_eq!(rf_pose_to_wxyz(&pose, back.as_mut_ptr()), RF_OK);
+        assert_eq!(rf_pose_from_wxyz(null(), &mut pose), RF_ERROR_NULL);
+        assert_eq!(rf_pose_to_wxyz(&pose, null_mut()), RF_ERROR_NULL);
+        let odd = numbers.as_ptr().cast::<u8>().add(1).cast();
+        assert_eq!(rf_pose_from_wxyz(odd, &mut pose), RF_ERROR_ALIGNMENT);
+    }
+    assert_eq!((pose.position, pose.quaternion), ([1.0, 2.0, 3.0], [0.1, 0.2, 0.3, 0.5]));
+    assert_eq!(back, numbers);
 }

@@ -34,6 +34,9 @@ const MIN_LIKELIHOOD_RATIO: f64 = 0.05;
 /// Steps of a whole motion, at most.
 // It bounds the time of a prediction.
 const MAX_MOTION_STEPS: usize = 160;
+/// Misfit above which nothing is told of mass ratios.
+// They come from a few meetings alone: where no particle explains those, the likeliest is as wrong as the others.
+const MOST_MISFIT_OF_RATIOS: f64 = 4.0;
 /// Degrees of freedom of a whole motion's error.
 // A path has two directions, and an end.
 const MOTION_DEGREES_OF_FREEDOM: f64 = 3.0;
@@ -609,7 +612,10 @@ impl Estimator {
         let mut before: Vec<(f64, f64)> = even()
             .flat_map(|a| even().map(move |b| (middle + scale * (logit(a) - logit(b)), 1.0)))
             .collect();
-        let ratio = Interval::of(&mut values, &mut before).map(f64::exp);
+        let ratio = match self.misfit > MOST_MISFIT_OF_RATIOS {
+            true => Interval::NotSeen,
+            false => Interval::of(&mut values, &mut before).map(f64::exp),
+        };
         Some(MassRatio { units: [one, other], ratio })
     }
 }

@@ -110,7 +110,7 @@ fn a_state_goes_on_as_it_would_have() {
         let mut newer = state.clone();
         newer[4] += 1;
         refused(&newer, RF_ERROR_STATE_VERSION);
-        assert_eq!((detail(handle).found, detail(handle).expected), (2, 1));
+        assert_eq!((detail(handle).found, detail(handle).expected), (3, 2));
         let small = config(file, 1, 32);
         let mut third = Workspace::of(&small);
         let small = third.init(&small);

@@ -23,7 +23,7 @@ pub const MAX_SUB_STEPS: u32 = 16;
 pub const SHORTEST_STEP_S: f32 = 1e-6;
 /// As [`SHORTEST_STEP_S`], of models of soft bodies: springs work on places in f32, which tell no velocities over less.
 pub const SHORTEST_SOFT_STEP_S: f32 = 1e-3;
-/// Coordinates beyond this are refused, metres. A caller's f32 keep 6 cm there; within a scene they count from near its first unit.
+/// Coordinates beyond this are refused, metres. A caller's f32 keep 6 cm there; within a scene they count from near its nearest unit.
 pub const MAX_COORDINATE_M: f32 = 1e6;
 /// Points of a unit closer together than this are one point, metres: they have no extent to fit a rotation to.
 pub(crate) const MIN_EXTENT_M: f32 = 1e-6;

@@ -420,6 +420,10 @@ impl UnitSlot {
 
     /// Where its caller takes it in the next step.
     pub(crate) fn driven(&self) -> State {
+        // It keeps its digits.
+        if self.target.has_bits_of(&self.current) {
+            return self.resting();
+        }
         let turn = turn_between(&self.current.rotation, &self.target.rotation);
         let course = Course::REST.moving(self.way_to_target(), turn);
         State { pose: self.target, course }

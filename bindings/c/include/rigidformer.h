@@ -498,6 +498,21 @@ typedef int32_t rf_status;
 typedef struct rf_simulator rf_simulator;
 
 /**
+ * A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of
+ * Python, scene files and recordings have w first: rf_pose_from_wxyz.
+ */
+typedef struct rf_pose {
+  /**
+   * x, y, z in metres, world frame (right-handed, z up).
+   */
+  float position[3];
+  /**
+   * x, y, z, w; of length 1. w is not negative in what the library writes.
+   */
+  float quaternion[4];
+} rf_pose;
+
+/**
  * What rf_workspace_bytes and rf_init are told.
  */
 typedef struct rf_config {
@@ -672,21 +687,6 @@ typedef struct rf_observation {
 } rf_observation;
 
 /**
- * A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of
- * Python, scene files and recordings have w first.
- */
-typedef struct rf_pose {
-  /**
-   * x, y, z in metres, world frame (right-handed, z up).
-   */
-  float position[3];
-  /**
-   * x, y, z, w; of length 1. w is not negative in what the library writes.
-   */
-  float quaternion[4];
-} rf_pose;
-
-/**
  * What a step did.
  */
 typedef struct rf_step_report {
@@ -728,6 +728,24 @@ typedef struct rf_velocity {
    */
   float angular_rad_s[3];
 } rf_velocity;
+
+/**
+ * A unit's centre of mass in the world, metres, with all digits that the simulator keeps.
+ */
+typedef struct rf_centre {
+  /**
+   * Along x.
+   */
+  double x;
+  /**
+   * Along y.
+   */
+  double y;
+  /**
+   * Along z.
+   */
+  double z;
+} rf_centre;
 
 /**
  * A pose as the simulator keeps it, about the unit's own centre: for comparing two targets bit
@@ -888,6 +906,25 @@ uint32_t rf_abi_version(void);
 const char *rf_error_string(int32_t code);
 
 /**
+ * Takes a pose from seven numbers whose quaternion has w first, as those of Python, scene files and
+ * recordings. Nothing is checked: the function that takes the pose does that.
+ *
+ * @param numbers  x, y, z in metres, then w, x, y, z
+ * @param pose     out: the pose
+ * @return RF_OK, RF_ERROR_NULL or RF_ERROR_ALIGNMENT
+ */
+rf_status rf_pose_from_wxyz(const float *numbers, struct rf_pose *pose);
+
+/**
+ * Writes a pose as seven numbers whose quaternion has w first.
+ *
+ * @param pose     the pose
+ * @param numbers  out: x, y, z in metres, then w, x, y, z
+ * @return as rf_pose_from_wxyz
+ */
+rf_status rf_pose_to_wxyz(const struct rf_pose *pose, float *numbers);
+
+/**
  * How large a workspace rf_init needs, exactly, in bytes: a multiple of RF_ALIGNMENT.
  *
  * It depends on the model's sizes, the limits, the pointer size and this version of the library; of
@@ -944,7 +981,7 @@ rf_status rf_release(struct rf_simulator *simulator);
  * units deform: rf_soft_points says where their points are.
  *
  * @param simulator    the simulator
- * @param dt_s         seconds between the two frames, and of a step; finite, above 0 and no longer
+ * @param dt_s         seconds between the two frames, and of a step; from 1 us (soft: 1 ms) and no longer
  *                     than the model takes. nano and edge take 16 x 16/240 s in the scene's own time:
  *                     1.07 s where the mean radius of free units is 0.7 m and gravity is the model's,
  *                     and less by a square root where units are smaller or gravity is stronger. Models
@@ -1071,6 +1108,19 @@ rf_status rf_unit_velocity(const struct rf_simulator *simulator,
 rf_status rf_velocities(const struct rf_simulator *simulator,
                         struct rf_velocity *velocities,
                         size_t capacity);
+
+/**
+ * Centres of all units with all digits that the simulator keeps, in the order of rf_poses. Floats hold
+ * no more than 6 cm at 1000 km.
+ *
+ * @param simulator  the simulator
+ * @param centres    out: (rf_unit_count) centres, x, y and z in the world, metres
+ * @param capacity   how many there is room for
+ * @return as rf_poses
+ */
+rf_status rf_centres(const struct rf_simulator *simulator,
+                     struct rf_centre *centres,
+                     size_t capacity);
 
 /**
  * Poses of all units as the simulator keeps them, about the units' own centres: the bits by which

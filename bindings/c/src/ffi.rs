@@ -194,7 +194,7 @@ pub unsafe extern "C" fn rf_release(simulator: *mut rf_simulator) -> rf_status {
 /// units deform: rf_soft_points says where their points are.
 ///
 /// @param simulator    the simulator
-/// @param dt_s         seconds between the two frames, and of a step; finite, above 0 and no longer
+/// @param dt_s         seconds between the two frames, and of a step; from 1 us (soft: 1 ms) and no longer
 ///                     than the model takes. nano and edge take 16 x 16/240 s in the scene's own time:
 ///                     1.07 s where the mean radius of free units is 0.7 m and gravity is the model's,
 ///                     and less by a square root where units are smaller or gravity is stronger. Models

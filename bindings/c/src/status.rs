@@ -306,7 +306,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_PHYSICS, c"a mass, friction or restitution is out of its range"),
     (
         RF_ERROR_BAD_TIMESTEP,
-        c"the time step is not a finite number of seconds above 0, or longer than the model takes",
+        c"the time step is not a finite number of seconds, below 1 us (of soft bodies 1 ms), or longer than the model takes",
     ),
     (
         RF_ERROR_BAD_INERTIA,

@@ -46,7 +46,7 @@ pub(crate) fn solve<S: Schedule>(schedule: S, scene: &Scene<'_>, all: &mut [f32]
     });
 }
 
-/// Moves the units of a copy apart where they overlap: `next`, (units, 2 poses), after [`solve`] into `all`.
+/// Moves the units of a copy apart where they overlap: `next`, (units, [`STATE`]), after [`solve`] into `all`.
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, all: &mut [f32], next: &mut [f32]) {
     let units = scene.per_copy;
     let all = slice_at_mut(all, first * numbers(scene), units * numbers(scene));

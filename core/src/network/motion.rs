@@ -47,8 +47,9 @@ pub(crate) fn correct(
     let scale = config.output_scale * share * scene.dt;
     // 0 where nothing touches the unit, whose free motion is exact; below 0 where it rests. Of corrections that are less than the
     // fit rounds, rounding alone would come.
-    let most = out.iter().fold(0.0_f32, |most, v| most.max(v.abs()));
-    let active = share > 0.0 && most * scale > ROUNDING * radius;
+    let is_slight = |v: &f32| v.abs() * scale <= ROUNDING * radius;
+    // What is no number is not slight.
+    let active = share > 0.0 && !out.iter().all(is_slight);
     if active {
         let [next, before] = &mut places;
         for ((next, before), row) in next.iter_mut().zip(before).zip(out.as_chunks::<6>().0) {

@@ -1,7 +1,7 @@
 //! Changes of the scene between steps. One that is refused changes nothing.
 
 use super::measure::{Census, Time, check_dt};
-use super::observe::check_pose;
+use super::observe::{check_pose, place_of};
 use super::state::Simulator;
 use crate::contact::ground::Plane;
 use crate::error::{CommandError, EditError, ObserveError};
@@ -51,29 +51,28 @@ impl Simulator<'_, '_> {
         room.taken()?;
         check_pose(number, previous)?;
         check_pose(number, current)?;
-        let place = current.translation.vector;
+        let place = place_of(unit, current);
         let is_held = |other: &UnitSlot| other.given_role() != Role::Free;
         let is_first = unit.role == Role::Free && self.scene.units().iter().all(is_held);
         if is_similar(self.model.config()) && (number == 0 || is_first) {
             let mut census = Census::default();
             census.take(self.model.config(), unit);
             let (measure, time) = self.measured(self.given.dt_s, &census, &place)?;
-            // Of another unit's measure only the length counts: what is there keeps its digits.
-            let origin = if number == 0 { measure } else { self.scene.measure }.origin();
-            let measure = measure.from(origin);
+            // Of another unit's measure only the length counts, in whose steps the origin is near where it was.
+            let old = self.scene.measure;
+            let measure = if number == 0 { measure } else { self.about(&measure, &old.origin()) };
             // There is no free unit for gravity to matter to.
             self.retime(&time, &Vector3::zeros())?;
+            let moved = old.from(measure.origin());
+            self.move_origin(&moved);
+            self.set_measure(moved);
             self.rescale(&measure);
             self.set_measure(measure);
             self.set_time(time);
         } else if number == 0 {
             self.set_measure(self.about(&self.scene.measure, &place));
         }
-        if number > 0 && place.amax() < self.scene.measure.origin().amax() {
-            let measure = self.about(&self.scene.measure, &place);
-            self.move_origin(&measure);
-            self.set_measure(measure);
-        }
+        self.come_nearer(&place);
         Ok(self.add_posed(unit, previous, current))
     }
 
@@ -188,7 +187,6 @@ impl Simulator<'_, '_> {
         previous: &Isometry3<f32>,
         current: &Isometry3<f32>,
     ) -> Result<(), EditError> {
-        let measure = self.scene.measure;
         let (unit, number) = self.slot(copy, id)?;
         #[cfg(feature = "deform")]
         if unit.is_soft() {
@@ -197,6 +195,8 @@ impl Simulator<'_, '_> {
         check_pose(number, previous)?;
         check_pose(number, current)?;
         let (role, offset) = (unit.given_role(), unit.offset);
+        self.come_nearer(&(current * offset).coords);
+        let measure = self.scene.measure;
         let pose = |isometry| measure.inward_isometry(isometry, &offset);
         let (previous, current) = (pose(previous), pose(current));
         let course = self.scene.course_between(role, &previous, &current);
@@ -323,7 +323,7 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes the time that a step takes, seconds. Units keep their velocities and spins.
+    /// Changes the time that a step takes, seconds. Units keep their mean velocities of the last step, and their spins.
     ///
     /// # Errors
     /// [`ObserveError::BadTimestep`], [`ObserveError::LongTimestep`] or [`ObserveError::ShortTimestep`], as an [`EditError`], also

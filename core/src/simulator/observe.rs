@@ -138,7 +138,7 @@ impl Simulator<'_, '_> {
         let mut place = None;
         for (number, seen) in units.clone().enumerate() {
             let Posed { unit, previous, current } = seen.borrow();
-            place = nearer(place, Some(current.translation.vector));
+            place = nearer(place, Some(place_of(unit, current)));
             #[cfg(feature = "deform")]
             if unit.soft.is_some() {
                 return Err(ObserveError::SoftPose { unit: number });
@@ -260,6 +260,7 @@ impl Simulator<'_, '_> {
         let [old, new] = [&self.scene.measure, measure].map(|measure| measure.origin().cast());
         let way: Vector3<f64> = (old - new) / f64::from(measure.length());
         for unit in self.scene.units_mut() {
+            let stays = unit.target == unit.current;
             for pose in [&mut unit.first, &mut unit.target] {
                 pose.centre = (pose.centre.cast::<f64>() + way).map(|v| v as f32);
             }
@@ -267,8 +268,20 @@ impl Simulator<'_, '_> {
             let whole = (high.cast::<f64>() + low.cast::<f64>()) + way;
             *high = whole.map(|v| v as f32);
             *low = (whole - high.cast::<f64>()).map(|v| v as f32);
+            if stays {
+                unit.target = unit.current;
+            }
         }
         self.index_from(0);
+    }
+
+    /// Moves the origin to about a place that is nearer to the world's, metres.
+    pub(super) fn come_nearer(&mut self, place: &Vector3<f32>) {
+        if place.amax() < self.scene.measure.origin().amax() {
+            let measure = self.about(&self.scene.measure, place);
+            self.move_origin(&measure);
+            self.set_measure(measure);
+        }
     }
 
     /// Something besides steps has changed: no unit is certain to stay as it is.
@@ -464,8 +477,13 @@ fn copy_points(from: &[Point3<f32>], to: &mut [Point3<f32>]) {
     }
 }
 
-/// The place that is nearer to the world's origin: a scene counts places from about that of its nearest unit, so that no order
-/// and no unit far away matters.
+/// About where a unit is, in the caller's metres.
+pub(super) fn place_of(unit: &Unit<'_>, current: &Isometry3<f32>) -> Vector3<f32> {
+    unit.points.first().map_or(current.translation.vector, |point| (current * point).coords)
+}
+
+/// The place that is nearer to the world's origin: a scene counts places from about that of its nearest unit, so that no unit
+/// far away takes digits from the others.
 fn nearer(place: Option<Vector3<f32>>, other: Option<Vector3<f32>>) -> Option<Vector3<f32>> {
     match (place, other) {
         (Some(place), Some(other)) if other.amax() < place.amax() => Some(other),

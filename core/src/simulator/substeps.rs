@@ -7,7 +7,6 @@ use crate::error::{ObserveError, StepError};
 use crate::geometry::{
     Course, POSE, Pose, STATE, State, read_pose, turn_between, turned_by, write_pose,
 };
-use crate::limits::MAX_COORDINATE_M;
 use crate::scene::{Role, Scene, UnitSlot};
 use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
 use nalgebra::Vector3;
@@ -63,6 +62,7 @@ impl Simulator<'_, '_> {
         let old = self.scene.gravity_lead_m();
         let new =
             gravity * (time.dt_s * time.dt_s) * (0.5 * time.substeps.saturating_sub(1) as f32);
+        let measure = self.scene.measure;
         // All are tried before any is changed.
         for changes in [false, true] {
             for unit in self.scene.units_mut() {
@@ -78,7 +78,7 @@ impl Simulator<'_, '_> {
                 let course = unit.course.moving(way, turn);
                 // A longer step at the same velocity may come from beyond the largest coordinate.
                 let state = State { pose: unit.current, course };
-                if !state.before().is_sound(MAX_COORDINATE_M) {
+                if !measure.allows(&state) {
                     return Err(ObserveError::BadTimestep);
                 }
                 if changes {

@@ -35,7 +35,7 @@ const MIN_LIKELIHOOD_RATIO: f64 = 0.05;
 // It bounds the time of a prediction.
 const MAX_MOTION_STEPS: usize = 160;
 /// Misfit above which nothing is told of mass ratios.
-// They come from a few meetings alone: where no particle explains those, the likeliest is as wrong as the others.
+// They come from a few meetings alone: where no particle explains the motion, the likeliest is as wrong as the others.
 const MOST_MISFIT_OF_RATIOS: f64 = 4.0;
 /// Degrees of freedom of a whole motion's error.
 // A path has two directions, and an end.

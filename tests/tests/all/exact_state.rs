@@ -123,7 +123,9 @@ fn a_unit_far_away_takes_nothing_from_the_others() {
                 .map(|pose| simulator.add(&Unit::new(&cube(), WOOD), pose, pose).unwrap())
                 .collect();
             let began = centre(simulator, ids[near]);
-            (0..10).for_each(|_| drop(simulator.step().unwrap()));
+            for _ in 0..10 {
+                simulator.step().unwrap();
+            }
             (began, centre(simulator, ids[near]))
         })
     };
@@ -133,4 +135,78 @@ fn a_unit_far_away_takes_nothing_from_the_others() {
         assert_eq!(began_here, began);
         assert!((here - alone).norm() < 1e-6, "{here} {alone}");
     }
+}
+
+/// Beside a unit near the world's origin: what falls far away lands on the ground there, and does not fly up from it.
+#[test]
+fn what_falls_far_away_lands_on_the_ground() {
+    for x in [1e2, 1e4, 1e5] {
+        with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+            simulator.set_dt(1.0 / 60.0).unwrap();
+            simulator.set_planes(&[Plane::ground(1.0, 1.0)]).unwrap();
+            let [near, far] = [0.0, x].map(|x| {
+                let pose = Isometry3::translation(x, 0.0, 0.2);
+                simulator.add(&Unit::new(&cube(), WOOD), &pose, &pose).unwrap()
+            });
+            let mut last = [0.0; 2];
+            for _ in 0..90 {
+                simulator.step().unwrap();
+                last = [near, far].map(|id| centre(simulator, id).z);
+            }
+            assert!(last.iter().all(|z| (z - f64::from(HALF_M)).abs() < 1e-3), "{x}: {last:?}");
+        });
+    }
+}
+
+/// Poses that are set near the world's origin keep their digits, wherever the scene was before.
+#[test]
+fn poses_that_are_set_near_the_origin_keep_their_digits() {
+    with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+        simulator.set_dt(0.01).unwrap();
+        let parked = Isometry3::translation(1e5, 0.0, 1.0);
+        let ids: Vec<_> = (0..2)
+            .map(|_| simulator.add(&Unit::new(&cube(), WOOD), &parked, &parked).unwrap())
+            .collect();
+        let pose = Isometry3::translation(0.1, 0.0, 0.125);
+        simulator.set_poses(ids[0], &pose, &pose).unwrap();
+        assert_eq!(simulator.pose(ids[0]).unwrap().translation, pose.translation);
+        let other = simulator.pose(ids[1]).unwrap();
+        assert_eq!(other.translation, parked.translation);
+    });
+}
+
+/// A scene may lie on both sides of the world's origin.
+#[test]
+fn a_scene_on_both_sides_of_the_origin_steps() {
+    with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+        simulator.set_dt(0.01).unwrap();
+        for x in [-6e5, 9e5] {
+            let pose = Isometry3::translation(x, 0.0, 1.0);
+            simulator.add(&Unit::new(&cube(), WOOD), &pose, &pose).unwrap();
+        }
+        simulator.step().unwrap();
+        simulator.set_dt(0.02).unwrap();
+        simulator.step().unwrap();
+    });
+}
+
+/// Snapshots of scenes whose length changed, and of what spins more than once a step, are read again.
+#[test]
+fn snapshots_of_any_scene_are_read_again() {
+    let block = |half: f32| -> Vec<_> { cube().iter().map(|p| p * (half / HALF_M)).collect() };
+    with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+        simulator.set_dt(0.01).unwrap();
+        let (small, large) = (block(0.04), block(0.4));
+        let fixed = Unit { role: rigidformer_core::Role::Fixed, ..Unit::new(&small, WOOD) };
+        let at = |x: f32| Isometry3::translation(x, 0.0, 10.0);
+        simulator.add(&fixed, &at(100.0), &at(100.0)).unwrap();
+        let id = simulator.add(&Unit::new(&large, WOOD), &at(97.0), &at(97.0)).unwrap();
+        let angular_rad_s = Vector3::new(0.0, 0.0, 150.0);
+        simulator.set_velocity(id, &Velocity { angular_rad_s, ..Velocity::default() }).unwrap();
+        simulator.set_dt(0.05).unwrap();
+        assert_eq!(simulator.pose(id).unwrap().translation, at(97.0).translation);
+        let mut state = vec![0; simulator.snapshot_bytes()];
+        simulator.snapshot(&mut state).unwrap();
+        simulator.restore(&state).unwrap();
+    });
 }

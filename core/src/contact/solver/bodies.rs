@@ -185,11 +185,14 @@ impl<'s> World<'s> {
         share
     }
 
-    /// What rounding may make of a gap between units as far away as this, metres; 0 where units that fall into such gaps in a step
-    /// are much slower than those that rest.
-    pub(super) fn gap_rounding(&self, most: f32) -> f32 {
+    /// What rounding may make of a gap between units as far along its normal as this, metres; 0 where units that fall into such gaps in a
+    /// step are much slower than those that rest. Units of a radius stay nearer than they touch.
+    pub(super) fn gap_rounding(&self, most: f32, radius: f32) -> f32 {
         let (rounding, dt) = (ROUNDING * most, self.scene.dt);
-        if rounding > SLIGHT * REST * self.gravity_size * dt * dt { rounding } else { 0.0 }
+        match rounding > SLIGHT * REST * self.gravity_size * dt * dt {
+            true => rounding.min(self.skin(radius)),
+            false => 0.0,
+        }
     }
 
     /// Slower units rest, m/s.

@@ -602,8 +602,12 @@ impl<'r> Contacts<'r> {
         let to = bodies.mover(pair.to);
         // Those of a cluster are counted from its centre.
         let shifts = [pair.from.and_then(|from| bodies.arm(from)), bodies.arm(pair.to)];
-        let most = |unit: usize| bodies.pose(unit).centre.amax();
-        let rounding = world.gap_rounding(most(pair.to).max(pair.from.map_or(0.0, most)));
+        // No more than two units' heights along the normal make a gap, or a height and a plane's offset, which is as far.
+        let most = |unit: usize| dot(&bodies.pose(unit).centre.abs(), &pair.normal.abs());
+        let most = most(pair.to).max(pair.from.map_or(0.0, most));
+        let radius = |unit: usize| world.units.get(unit).map_or(0.0, |unit| unit.radius);
+        let radius = pair.from.map_or(f32::INFINITY, radius).min(radius(pair.to));
+        let rounding = world.gap_rounding(most, radius);
         for (number, (point, gap)) in patch.points.iter().enumerate() {
             let Some(row) = self.rows.get_mut(self.count) else { return };
             // What pushes a plane turns nothing, whatever the arm.

@@ -22,8 +22,10 @@ use nalgebra::Vector3;
 const FAR: f32 = 1e9;
 /// The columns of a rotation differ from unit vectors at right angles by less: long rollouts round.
 const SKEW: f32 = 0.1;
-/// Greater turns of a step are none, radians along an axis.
-const MOST_TURN: f32 = 4.0;
+/// Greater turns of a step are none, radians along an axis: longer steps of what spins fast have more than one.
+const MOST_TURN: f32 = 1e5;
+/// The second f32 of a place is at most this share of the first.
+const LOW: f32 = f32::EPSILON;
 /// The greatest next name: units that are added later have room for theirs.
 const MOST_ID: u64 = 1 << 62;
 /// Bodies of their own behind the last that a caller can name.
@@ -456,8 +458,10 @@ impl Simulator<'_, '_> {
             }
             let course = at + COPY_COURSE;
             within(words, course..course + COURSE, FAR)?;
-            // Of at most half a turn, and what a rotation rounds off.
             within(words, course + COURSE - 3..course + COURSE, MOST_TURN)?;
+            let centre = words.pose(at + 6 + POSE).centre;
+            within(words, course..course + 3, LOW * centre.amax())?;
+            // What a rotation rounds off.
             within(words, course + 3..course + 6, SKEW)?;
         }
         let has_joints = checked.records().any(|unit| unit.parent > 0);

@@ -111,10 +111,12 @@ impl Measure {
 
     /// Whether a unit may be in a state, and in the pose that it comes from: numbers are finite and places near enough.
     pub(crate) fn allows(&self, state: &State) -> bool {
-        // The scene's own numbers may be larger: of small lengths, and of places on both sides of the world's origin.
         let is_near = |centre: &Vector3<f32>| {
             let far = centre * self.length() + self.origin;
+            // In lengths from the scene's own origin, or from the world's: a scene may lie on both sides of that.
+            let most = MAX_COORDINATE_M * self.length().min(1.0);
             far.iter().all(|v| v.abs() <= MAX_COORDINATE_M)
+                && (centre.amax() <= MAX_COORDINATE_M || far.amax() <= most)
         };
         let centre = state.pose.centre;
         state.is_finite() && is_near(&centre) && is_near(&(centre - state.course.way))

@@ -421,7 +421,7 @@ impl UnitSlot {
     /// Where its caller takes it in the next step.
     pub(crate) fn driven(&self) -> State {
         // It keeps its digits.
-        if self.target.has_bits_of(&self.current) {
+        if self.target == self.current {
             return self.resting();
         }
         let turn = turn_between(&self.current.rotation, &self.target.rotation);

@@ -58,14 +58,11 @@ impl Simulator<'_, '_> {
             let mut census = Census::default();
             census.take(self.model.config(), unit);
             let (measure, time) = self.measured(self.given.dt_s, &census, &place)?;
-            // Of another unit's measure only the length counts, in whose steps the origin is near where it was.
-            let old = self.scene.measure;
-            let measure = if number == 0 { measure } else { self.about(&measure, &old.origin()) };
+            // Of another unit's measure only the length counts: places are counted from where they were.
+            let origin = if number == 0 { measure } else { self.scene.measure }.origin();
+            let measure = measure.from(origin);
             // There is no free unit for gravity to matter to.
             self.retime(&time, &Vector3::zeros())?;
-            let moved = old.from(measure.origin());
-            self.move_origin(&moved);
-            self.set_measure(moved);
             self.rescale(&measure);
             self.set_measure(measure);
             self.set_time(time);

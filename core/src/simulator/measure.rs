@@ -164,9 +164,12 @@ impl Simulator<'_, '_> {
 
     /// A measure with the origin for units about a place.
     pub(super) fn about(&self, measure: &Measure, place: &Vector3<f32>) -> Measure {
-        // Points of soft bodies and the ground of robots are where the world has them.
-        let keeps = self.sizes.is_soft() || is_robot(self.model.config());
-        if keeps { measure.from(Vector3::zeros()) } else { measure.about(place) }
+        if self.keeps_origin() { measure.from(Vector3::zeros()) } else { measure.about(place) }
+    }
+
+    /// Points of soft bodies and the ground of robots are where the world has them.
+    pub(super) fn keeps_origin(&self) -> bool {
+        self.sizes.is_soft() || is_robot(self.model.config())
     }
 
     /// Measures planes and gravity by another measure.

@@ -256,6 +256,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Counts the units' places from another measure's origin: [`set_measure`](Self::set_measure) comes next.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn move_origin(&mut self, measure: &Measure) {
         let [old, new] = [&self.scene.measure, measure].map(|measure| measure.origin().cast());
         let way: Vector3<f64> = (old - new) / f64::from(measure.length());
@@ -276,6 +277,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Moves the origin to about a place that is nearer to the world's, metres.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn come_nearer(&mut self, place: &Vector3<f32>) {
         if place.amax() < self.scene.measure.origin().amax() {
             let measure = self.about(&self.scene.measure, place);

@@ -9,6 +9,7 @@ const fn bits(number: f32) -> u32 {
 }
 
 /// Rises with the number; both zeros are 0. NaNs are beyond the infinities.
+#[inline(never)]
 pub(crate) const fn order(number: f32) -> i32 {
     let bits = bits(number);
     let size = (bits & 0x7fff_ffff) as i32;
@@ -16,6 +17,7 @@ pub(crate) const fn order(number: f32) -> i32 {
 }
 
 /// As `f32::is_finite`.
+#[inline(never)]
 pub(crate) const fn is_finite(number: f32) -> bool {
     bits(number) & 0x7f80_0000 != 0x7f80_0000
 }

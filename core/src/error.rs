@@ -1,7 +1,7 @@
 //! One small error per phase; its numbers say what to change.
 
 use crate::scene::UnitId;
-use rigidformer_weights::FormatError;
+use rigidformer_weights::{Decimal, FormatError};
 use thiserror::Error;
 
 /// Name of a tensor inside a model, such as `blocks.2.attention.qkvg.weight`.
@@ -271,7 +271,10 @@ pub enum ObserveError {
     BadTimestep,
     /// The time step is longer than [`MAX_SUB_STEPS`](crate::MAX_SUB_STEPS) of the model's longest steps.
     #[error(
-        "a step of {dt_s} s would take {substeps} of the longest steps that the model knows; take steps of {longest_s} s at most"
+        "a step of {} s would take {} of the longest steps that the model knows; take steps of {} s at most",
+        Decimal(*.dt_s),
+        Decimal(*.substeps),
+        Decimal(*.longest_s)
     )]
     LongTimestep {
         /// Seconds of the step.
@@ -283,7 +286,11 @@ pub enum ObserveError {
     },
     /// The time step is shorter than [`SHORTEST_STEP_S`](crate::SHORTEST_STEP_S), or for models of soft bodies than
     /// [`SHORTEST_SOFT_STEP_S`](crate::SHORTEST_SOFT_STEP_S).
-    #[error("steps of {dt_s} s are too short for this model; take steps of {shortest_s} s or more")]
+    #[error(
+        "steps of {} s are too short for this model; take steps of {} s or more",
+        Decimal(*.dt_s),
+        Decimal(*.shortest_s)
+    )]
     ShortTimestep {
         /// Seconds of the step.
         dt_s: f32,
@@ -320,7 +327,8 @@ pub enum EditError {
     },
     /// A driven unit cannot go so far in one step.
     #[error(
-        "{id} would jump: over {limit_m_s} m/s; give a nearer pose, or set its poses where it was put elsewhere"
+        "{id} would jump: over {} m/s; give a nearer pose, or set its poses where it was put elsewhere",
+        Decimal(*.limit_m_s)
     )]
     Jump {
         /// The unit.
@@ -330,7 +338,8 @@ pub enum EditError {
     },
     /// A unit cannot turn so fast: poses of two steps do not tell it from a turn the other way.
     #[error(
-        "{id} would turn too fast: over {limit_rad_s} rad/s, half a turn a step; give less, or take shorter steps"
+        "{id} would turn too fast: over {} rad/s, half a turn a step; give less, or take shorter steps",
+        Decimal(*.limit_rad_s)
     )]
     Spin {
         /// The unit.

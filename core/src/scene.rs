@@ -290,7 +290,7 @@ impl UnitSlot {
             inertia_m2: zero,
             first: nowhere,
             current: nowhere,
-            course: Course::REST,
+            course: Course::NONE,
             target: nowhere,
             #[cfg(rigidformer_host)]
             still: 0,

@@ -81,6 +81,7 @@ mod aligned;
 #[cfg(feature = "std")]
 mod buffer;
 mod config;
+mod decimal;
 mod directory;
 mod error;
 #[cfg(feature = "std")]
@@ -106,6 +107,7 @@ pub use config::{
     IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Scope,
     Similarity,
 };
+pub use decimal::Decimal;
 pub use error::{FormatError, Section};
 #[cfg(feature = "std")]
 pub use files::{

@@ -1,5 +1,6 @@
 //! The limits of a model's configuration.
 
+use crate::decimal::Decimal;
 use crate::order::order;
 use crate::{ModelConfig, Scales};
 
@@ -20,7 +21,12 @@ pub enum ConfigError {
         found: u32,
     },
     /// A real number outside its limits, infinite or not a number.
-    #[error("`{field}` is {found}; a model has {minimum} to {maximum}")]
+    #[error(
+        "`{field}` is {}; a model has {} to {}",
+        Decimal(*.found),
+        Decimal(*.minimum),
+        Decimal(*.maximum)
+    )]
     Number {
         /// Name of the field.
         field: &'static str,

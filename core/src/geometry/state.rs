@@ -39,6 +39,9 @@ pub(crate) struct State {
 }
 
 impl Course {
+    /// No course. Zeros alone.
+    pub(crate) const NONE: Course = Course { shares: (0.0, 0.0), ..Course::REST };
+
     /// At rest, with a pose's own digits.
     pub(crate) const REST: Course = {
         let zero = Vector3::new(0.0, 0.0, 0.0);

@@ -111,15 +111,21 @@ impl Measure {
 
     /// Whether a unit may be in a state, and in the pose that it comes from: numbers are finite and places near enough.
     pub(crate) fn allows(&self, state: &State) -> bool {
-        let is_near = |centre: &Vector3<f32>| {
-            let far = centre * self.length() + self.origin;
-            // In lengths from the scene's own origin, or from the world's: a scene may lie on both sides of that.
-            let most = MAX_COORDINATE_M * self.length().min(1.0);
-            far.iter().all(|v| v.abs() <= MAX_COORDINATE_M)
-                && (centre.amax() <= MAX_COORDINATE_M || far.amax() <= most)
-        };
         let centre = state.pose.centre;
-        state.is_finite() && is_near(&centre) && is_near(&(centre - state.course.way))
+        state.is_finite() && self.is_near(&centre) && self.is_near(&(centre - state.course.way))
+    }
+
+    /// Whether a place is near enough.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn is_near(&self, centre: &Vector3<f32>) -> bool {
+        let (mut here, mut there) = (0.0_f32, 0.0_f32);
+        for (v, origin) in centre.iter().zip(self.origin.iter()) {
+            here = here.max(v.abs());
+            there = there.max((v * self.length() + origin).abs());
+        }
+        // In lengths from the scene's own origin, or from the world's: a scene may lie on both sides of that.
+        let most = MAX_COORDINATE_M * self.length().min(1.0);
+        there <= MAX_COORDINATE_M && (here <= MAX_COORDINATE_M || there <= most)
     }
 
     /// The offset of a plane, given in metres, in this measure.

@@ -245,6 +245,22 @@ pub(crate) struct SoftInputs {
     pub(crate) changes: [Vector3<f32>; 2],
 }
 
+/// What another step or gravity makes of ways.
+pub(crate) struct Retimed {
+    /// Time of the substep to come by that of the last one.
+    pub(crate) share: f32,
+    /// What gravity adds in half a substep, before and from now on, metres.
+    pub(crate) halves: [Vector3<f32>; 2],
+}
+
+impl Retimed {
+    /// The way of what falls, metres.
+    pub(crate) fn way(&self, way: &Vector3<f32>) -> Vector3<f32> {
+        let [before, now] = self.halves;
+        (way + before) * self.share - now
+    }
+}
+
 /// The motion of a unit in a step, but for what gravity adds.
 #[cfg(feature = "health")]
 #[derive(Clone, Copy)]
@@ -392,6 +408,17 @@ impl UnitSlot {
         State { pose: self.current, course: self.course }
     }
 
+    /// Its centre with all its digits.
+    pub(crate) fn centre(&self) -> Vector3<f64> {
+        self.current.centre.cast::<f64>() + self.course.centre_low.cast::<f64>()
+    }
+
+    /// Puts its centre elsewhere.
+    pub(crate) fn set_centre(&mut self, centre: &Vector3<f64>) {
+        self.current.centre = centre.map(|v| v as f32);
+        self.course.centre_low = (centre - self.current.centre.cast::<f64>()).map(|v| v as f32);
+    }
+
     /// Ends a step: `row` has the state that it goes to.
     #[inline(always)]
     pub(crate) fn go_to(&mut self, row: &[f32]) {
@@ -408,17 +435,20 @@ impl UnitSlot {
 
     /// Where a free unit goes without contact: ballistic centre, the last step's rotation again. `fall` is what gravity adds
     /// to a step's way, metres.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn free(&self, fall: &Vector3<f32>) -> State {
         self.state().free(fall)
     }
 
     /// Where it stays, without motion.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn resting(&self) -> State {
         let course = self.course.moving(Vector3::zeros(), Vector3::zeros());
         State { pose: self.current, course }
     }
 
     /// Where its caller takes it in the next step.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn driven(&self) -> State {
         // It keeps its digits.
         if self.target == self.current {
@@ -444,6 +474,7 @@ impl UnitSlot {
     }
 
     /// As [`coming_turn`](Self::coming_turn), the way of a local point; but for what gravity adds. Metres.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(crate) fn coming_way(&self, local: &Vector3<f32>) -> Vector3<f32> {
         match self.role {
             // No network has said yet that it changes.

@@ -3,7 +3,7 @@
 
 use std::ops::ControlFlow;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
@@ -157,10 +157,6 @@ impl FutureScene<'_> {
         found.map(|unit| unit.id()).ok_or(ChangeError::NoSuchUnit { unit, units })
     }
 
-    fn dt_s(&self) -> f32 {
-        self.world.simulator().dt_s().unwrap_or_default()
-    }
-
     /// Sets the poses of a unit.
     ///
     /// # Errors
@@ -201,6 +197,10 @@ impl FutureScene<'_> {
         angular: &Vector3<f32>,
     ) -> Result<(), ChangeError> {
         let (copy, id) = (self.copy, self.id(unit)?);
+        if self.is_out(unit) {
+            let reason = format!("{id} is out of play; bring it back with set_poses first");
+            return Err(ChangeError::Other(reason));
+        }
         let velocity = Velocity { linear_m_s: *linear, angular_rad_s: *angular };
         Ok(self.world.edit(|simulator| simulator.set_velocity_in(copy, id, &velocity))?)
     }
@@ -215,15 +215,9 @@ impl FutureScene<'_> {
         linear: &Vector3<f32>,
         angular: &Vector3<f32>,
     ) -> Result<(), ChangeError> {
-        let no_such = ChangeError::NoSuchUnit { unit, units: self.units() };
-        let current = self.pose(unit).ok_or(no_such.clone())?;
-        let index = self.index(unit).ok_or(no_such.clone())?;
-        let previous = self.world.simulator().unit(index).ok_or(no_such)?.previous_pose();
-        let back = UnitQuaternion::from_scaled_axis(angular * -self.dt_s());
-        let position = previous.translation.vector - linear * self.dt_s();
-        let previous =
-            Isometry3::from_parts(Translation3::from(position), back * previous.rotation);
-        self.set_poses(unit, &previous, &current)
+        let units = self.units();
+        let now = self.velocity(unit).ok_or(ChangeError::NoSuchUnit { unit, units })?;
+        self.set_velocity(unit, &(now.linear_m_s + linear), &(now.angular_rad_s + angular))
     }
 
     /// Takes a unit out of play in this future alone: it is nowhere, touches nothing and is touched by nothing, until

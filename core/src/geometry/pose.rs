@@ -217,7 +217,7 @@ pub(crate) fn swing(turn: &Vector3<f32>, lever: &Vector3<f32>) -> Vector3<f32> {
 }
 
 /// How much of a turn once and twice across a vector is how far it takes that.
-#[inline(always)]
+#[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn shares(turn: &Vector3<f32>) -> (f32, f32) {
     let angle = math::sqrt(dot(turn, turn));
     let is_small = angle < SMALL_RAD;

@@ -60,13 +60,6 @@ impl Course {
         Course { way, way_low: Vector3::zeros(), turn, shares: shares(&turn), ..*self }
     }
 
-    /// In another length, of which a metre is so many.
-    pub(crate) fn scaled(&self, share: f32) -> Course {
-        let Course { centre_low, way, way_low, .. } = *self;
-        let [centre_low, way, way_low] = [centre_low, way, way_low].map(|v| v * share);
-        Course { centre_low, way, way_low, ..*self }
-    }
-
     /// As a row.
     pub(crate) fn row(&self) -> [f32; COURSE] {
         let Course { centre_low: c, turn_low: r, way: v, way_low: u, turn: w, .. } = self;
@@ -75,17 +68,9 @@ impl Course {
 
     /// From a [`row`](Self::row).
     pub(crate) fn read(row: &[f32]) -> Course {
-        let row: [f32; COURSE] = row.first_chunk().copied().unwrap_or_default();
-        let [a, b, c, d, e, f, g, h, i, j, k, l, m, n, o] = row;
-        let turn = Vector3::new(m, n, o);
-        Course {
-            centre_low: Vector3::new(a, b, c),
-            turn_low: Vector3::new(d, e, f),
-            way: Vector3::new(g, h, i),
-            way_low: Vector3::new(j, k, l),
-            turn,
-            shares: shares(&turn),
-        }
+        let rows: [[f32; 3]; 5] = row.as_chunks().0.first_chunk().copied().unwrap_or_default();
+        let [centre_low, turn_low, way, way_low, turn] = rows.map(Vector3::from);
+        Course { centre_low, turn_low, way, way_low, turn, shares: shares(&turn) }
     }
 
     /// In the last substep, radians along the world's axes.
@@ -139,10 +124,10 @@ impl State {
 
     /// Whether all its numbers are finite.
     pub(crate) fn is_finite(&self) -> bool {
-        let Pose { rotation, centre } = &self.pose;
-        let numbers = rotation.iter().chain(centre.iter());
+        let mut row = [0.0; STATE];
+        self.write(&mut row);
         // The product is none where a number is not finite.
-        numbers.chain(self.course.row().iter()).fold(0.0, |sum, v| sum + v * 0.0) == 0.0
+        row.iter().fold(0.0, |sum, v| sum + v * 0.0) == 0.0
     }
 
     /// The pose of a substep ago.

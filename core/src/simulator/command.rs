@@ -320,7 +320,7 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes the time that a step takes, seconds. Units keep their mean velocities of the last step, and their spins.
+    /// Changes the time that a step takes, seconds. Units keep their velocities and spins: what rests goes on resting, and what falls, falling.
     ///
     /// # Errors
     /// [`ObserveError::BadTimestep`], [`ObserveError::LongTimestep`] or [`ObserveError::ShortTimestep`], as an [`EditError`], also

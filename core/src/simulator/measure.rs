@@ -173,6 +173,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Measures planes and gravity by another measure.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn set_measure(&mut self, measure: Measure) {
         self.forget_still();
         let Self { scene, given, model, .. } = self;

@@ -239,10 +239,16 @@ impl Simulator<'_, '_> {
         let share = self.scene.measure.length() / measure.length();
         for number in 0..self.scene.count {
             let Some(mut unit) = self.scene.units().get(number).copied() else { return };
-            for pose in [&mut unit.first, &mut unit.current, &mut unit.target] {
+            let stays = unit.target == unit.current;
+            for pose in [&mut unit.first, &mut unit.target] {
                 pose.centre *= share;
             }
-            unit.course = unit.course.scaled(share);
+            unit.set_centre(&(unit.centre() * f64::from(share)));
+            if stays {
+                unit.target = unit.current;
+            }
+            let course = &mut unit.course;
+            (course.way, course.way_low) = (course.way * share, course.way_low * share);
             self.scene.rescale(&unit, share);
             unit.radius *= share;
             unit.inertia_m2 = impacts::no_less(unit.inertia_m2 * (share * share));
@@ -265,10 +271,7 @@ impl Simulator<'_, '_> {
             for pose in [&mut unit.first, &mut unit.target] {
                 pose.centre = (pose.centre.cast::<f64>() + way).map(|v| v as f32);
             }
-            let (high, low) = (&mut unit.current.centre, &mut unit.course.centre_low);
-            let whole = (high.cast::<f64>() + low.cast::<f64>()) + way;
-            *high = whole.map(|v| v as f32);
-            *low = (whole - high.cast::<f64>()).map(|v| v as f32);
+            unit.set_centre(&(unit.centre() + way));
             if stays {
                 unit.target = unit.current;
             }

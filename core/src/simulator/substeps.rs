@@ -7,8 +7,9 @@ use crate::error::{ObserveError, StepError};
 use crate::geometry::{
     Course, POSE, Pose, STATE, State, read_pose, turn_between, turned_by, write_pose,
 };
-use crate::scene::{Role, Scene, UnitSlot};
+use crate::scene::{Retimed, Role, Scene, UnitSlot};
 use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
+use crate::structure::heading::is_robot;
 use nalgebra::Vector3;
 
 /// Numbers of an outcome.
@@ -46,35 +47,34 @@ impl Scene<'_> {
 
 impl Simulator<'_, '_> {
     /// Makes the motion of all units that of another step or substep, under another
-    /// gravity: `set_time` and `set_measure` come next.
+    /// gravity, at the velocities that they have now: `set_time` and `set_measure` come next.
     pub(super) fn retime(
         &mut self,
         time: &Time,
         gravity: &Vector3<f32>,
     ) -> Result<(), ObserveError> {
         let before = (self.given.dt_s, self.scene.substeps());
-        let whole = before.1 <= 1 && time.substeps <= 1;
-        let falls_as_before = whole || (*gravity, time.dt_s) == (self.scene.gravity, self.scene.dt);
+        let falls_as_before = (*gravity, time.dt_s) == (self.scene.gravity, self.scene.dt);
         if self.scene.count == 0 || (before == (time.given_s, time.substeps) && falls_as_before) {
             return Ok(());
         }
         let share = (time.given_s / time.substeps as f32) / (before.0 / before.1 as f32);
-        let old = self.scene.gravity_lead_m();
-        let new =
-            gravity * (time.dt_s * time.dt_s) * (0.5 * time.substeps.saturating_sub(1) as f32);
+        // A way tells the velocity of the middle of a substep; from there to now gravity adds half of a fall.
+        let halves = match is_robot(self.model.config()) {
+            // What a robot's gravity does is the network's to say.
+            true => [Vector3::zeros(); 2],
+            false => [self.scene.fall() * 0.5, gravity * (0.5 * time.dt_s * time.dt_s)],
+        };
+        let motion = Retimed { share, halves };
         let measure = self.scene.measure;
         // All are tried before any is changed.
         for changes in [false, true] {
             for unit in self.scene.units_mut() {
-                let falls = !whole && unit.is_free();
-                let (mut way, turn) = (unit.course.way, unit.course.turn() * share);
-                if falls {
-                    way -= old;
-                }
-                way *= share;
-                if falls {
-                    way += new;
-                }
+                let turn = unit.course.turn() * share;
+                let way = match unit.is_free() {
+                    true => motion.way(&unit.course.way),
+                    false => unit.course.way * share,
+                };
                 let course = unit.course.moving(way, turn);
                 // A longer step at the same velocity may come from beyond the largest coordinate.
                 let state = State { pose: unit.current, course };
@@ -86,10 +86,8 @@ impl Simulator<'_, '_> {
                 }
             }
             #[cfg(feature = "deform")]
-            if share != 1.0 {
-                let retimed = crate::structure::soft::retime(&mut self.scene, share, changes);
-                retimed.ok_or(ObserveError::BadTimestep)?;
-            }
+            crate::structure::soft::retime(&mut self.scene, &motion, changes)
+                .ok_or(ObserveError::BadTimestep)?;
         }
         Ok(())
     }

@@ -10,7 +10,7 @@ use crate::structure::heading::is_robot;
 use core::borrow::Borrow;
 use nalgebra::Vector3;
 
-/// Greater turns of a substep are refused, radians: a pose and the one before tell turns up to half of one.
+/// Greater turns of a substep are refused, radians: half a turn may have gone either way.
 const MOST_TURN: f32 = 3.1;
 
 /// How a unit moves now, at the end of its last step.
@@ -51,7 +51,7 @@ impl Simulator<'_, '_> {
     /// for _ in 0..10 {
     ///     simulator.step()?;
     /// }
-    /// // 2 m/s upwards, and 0.2 s of gravity: the parabola of the books, but for the rounding of poses.
+    /// // 2 m/s upwards, and 0.2 s of gravity: the parabola of the books.
     /// let speed = simulator.velocity(cube).ok_or("no unit")?.linear_m_s;
     /// assert!((speed - Vector3::new(1.0, 0.0, 2.0 - 0.2 * 9.81)).norm() < 1e-3);
     /// let height = simulator.pose(cube).ok_or("no unit")?.translation.z;

@@ -11,7 +11,7 @@ use crate::kernels::Schedule;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MIN_EXTENT_M};
 use crate::math;
 use crate::model::Model;
-use crate::scene::{Role, Scene, Soft, Unit, UnitSlot};
+use crate::scene::{Retimed, Role, Scene, Soft, Unit, UnitSlot};
 use crate::sizes::Sizes;
 use crate::slices::{rows, slice_at, slice_at_mut};
 use crate::structure::soft_points::{
@@ -338,14 +338,14 @@ pub(crate) fn refresh(scene: &mut Scene<'_>, index: usize) {
 
 /// Makes the last step of soft units one of another length, at the same velocities. Where `changes` is false nothing moves: none
 /// where a point would come from nowhere.
-pub(crate) fn retime(scene: &mut Scene<'_>, share: f32, changes: bool) -> Option<()> {
+pub(crate) fn retime(scene: &mut Scene<'_>, motion: &Retimed, changes: bool) -> Option<()> {
     for index in 0..scene.count {
         let Some(unit) = scene.units().get(index).copied().filter(UnitSlot::is_soft) else {
             continue;
         };
         for row in unit.start..unit.start + unit.count {
             let soft = &mut scene.soft;
-            let (way, current) = (soft.increment(row) * share, soft.current(row));
+            let (way, current) = (motion.way(&soft.increment(row)), soft.current(row));
             if !(current - way).iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
                 return None;
             }

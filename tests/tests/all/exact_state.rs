@@ -110,6 +110,39 @@ fn a_box_slides_as_friction_says_at_any_step_and_height() {
     }
 }
 
+/// Where the step or gravity changes, velocities last: what falls goes on along its parabola, and what rests goes on resting.
+#[test]
+fn velocities_last_where_the_step_or_gravity_changes() {
+    with_cube((0.01, 0.0), (64.0, 0.5), |simulator, id| {
+        let (mut place, mut speed) = (centre(simulator, id).z, 0.0);
+        for (number, dt_s) in [0.1, 1e-3, 0.02, 1e-4, 1.0 / 24.0].into_iter().enumerate() {
+            let gravity = f64::from(G) * [1.0, 1.0, 0.25][number % 3];
+            simulator.set_dt(dt_s).unwrap();
+            simulator.set_gravity(Vector3::new(0.0, 0.0, -gravity as f32)).unwrap();
+            let time = run(simulator, 0.5, 2000);
+            place += speed * time - gravity * time * time / 2.0;
+            speed -= gravity * time;
+            let error = centre(simulator, id).z - place;
+            assert!(error.abs() < 2e-5, "{dt_s}: {error} m");
+            let found = simulator.velocity(id).unwrap().linear_m_s;
+            assert!((f64::from(found.z) - speed).abs() < 2e-5, "{dt_s}: {} {speed}", found.z);
+            assert!((found.x - 0.5).abs() < 1e-6, "{dt_s}: {}", found.x);
+        }
+    });
+    with_cube((0.01, 0.0), (HALF_M, 0.0), |simulator, id| {
+        run(simulator, 1.0, 100);
+        let began = centre(simulator, id);
+        for dt_s in [0.1, 1e-3, 1.0 / 24.0, 1e-4] {
+            simulator.set_dt(dt_s).unwrap();
+            run(simulator, 0.5, 500);
+            let speed = simulator.velocity(id).unwrap().linear_m_s.norm();
+            assert!(speed < 1e-6, "{dt_s}: {speed} m/s");
+            let moved = (centre(simulator, id) - began).norm();
+            assert!(moved < 1e-6, "{dt_s}: {moved} m");
+        }
+    });
+}
+
 /// A sensor's nonsense among the units takes no digits from the others, whichever comes first.
 #[test]
 fn a_unit_far_away_takes_nothing_from_the_others() {

@@ -602,12 +602,7 @@ impl<'r> Contacts<'r> {
         let to = bodies.mover(pair.to);
         // Those of a cluster are counted from its centre.
         let shifts = [pair.from.and_then(|from| bodies.arm(from)), bodies.arm(pair.to)];
-        // No more than two units' heights along the normal make a gap, or a height and a plane's offset, which is as far.
-        let most = |unit: usize| dot(&bodies.pose(unit).centre.abs(), &pair.normal.abs());
-        let most = most(pair.to).max(pair.from.map_or(0.0, most));
-        let radius = |unit: usize| world.units.get(unit).map_or(0.0, |unit| unit.radius);
-        let radius = pair.from.map_or(f32::INFINITY, radius).min(radius(pair.to));
-        let rounding = world.gap_rounding(most, radius);
+        let rounding = gap_rounding(world, bodies, pair);
         for (number, (point, gap)) in patch.points.iter().enumerate() {
             let Some(row) = self.rows.get_mut(self.count) else { return };
             // What pushes a plane turns nothing, whatever the arm.
@@ -804,6 +799,20 @@ fn meet(
         patch
     });
     Some((normal, patch))
+}
+
+/// What rounding may make of the gaps of a pair, metres.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn gap_rounding(world: &World<'_>, bodies: &Bodies<'_>, pair: &Pair) -> f32 {
+    let (mut most, mut radius) = (0.0_f32, f32::INFINITY);
+    for number in [Some(pair.to), pair.from].into_iter().flatten() {
+        // No more than two units' heights along the normal make a gap, or a height and a plane's offset, which is as far.
+        let places = bodies.pose(number).centre;
+        let heights = places.iter().zip(pair.normal.iter()).map(|(v, n)| v.abs() * n.abs());
+        most = most.max(heights.fold(0.0, |sum, height| sum + height));
+        radius = radius.min(world.units.get(number).map_or(0.0, |unit| unit.radius));
+    }
+    world.gap_rounding(most, radius)
 }
 
 /// A unit vector across another one.

@@ -42,7 +42,7 @@ const SUBSTEPS_HZ: f32 = 144.0;
 const MOST_SUBSTEPS: u8 = 16;
 /// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
-/// Greater turns of a step are cut, radians: a pose and the one before tell turns up to half of one.
+/// Greater turns of a step are cut, radians: from half a turn on, the way there is shorter the other way round.
 const MOST_TURN: f32 = 3.0;
 /// Smaller turns of a step commute, radians: what that leaves out is less than f32 do.
 const SMALL_TURN: f32 = 3e-4;
@@ -264,7 +264,7 @@ fn moved(
     State { course: next.course.moving(way, turn), ..next }
 }
 
-/// Cuts a spin that two poses cannot tell.
+/// Cuts a spin beyond [`MOST_TURN`] a step.
 fn cut(mover: &mut bodies::Mover, dt: f32) {
     let turn = crate::geometry::norm(&mover.spin) * dt;
     if turn > MOST_TURN {

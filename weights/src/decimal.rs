@@ -28,11 +28,14 @@ fn scaled(size: f32, exponent: i32) -> f32 {
 
 impl Display for Decimal {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        if !self.0.is_finite() {
-            return f.write_str(if self.0.is_nan() { "NaN" } else { "inf" });
+        if self.0.is_nan() {
+            return f.write_str("NaN");
         }
         if self.0 < 0.0 {
             f.write_str("-")?;
+        }
+        if self.0.is_infinite() {
+            return f.write_str("inf");
         }
         // From the least f32 to the greatest; the first has six digits.
         let size = self.0.abs();
@@ -61,7 +64,7 @@ mod tests {
 
     #[test]
     fn numbers_read_as_they_are() {
-        let cases: [(f32, &str); 15] = [
+        let cases: [(f32, &str); 16] = [
             (0.0, "0"),
             (-0.0, "0"),
             (0.01, "0.01"),
@@ -77,6 +80,7 @@ mod tests {
             (30.0, "30"),
             (f32::NAN, "NaN"),
             (f32::INFINITY, "inf"),
+            (f32::NEG_INFINITY, "-inf"),
         ];
         for (number, expected) in cases {
             assert_eq!(Decimal(number).to_string(), expected, "{number}");

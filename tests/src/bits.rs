@@ -16,6 +16,9 @@ use std::path::Path;
 // Errors of one bit grow from step to step, and a hundred make them show.
 pub const STEPS: usize = 100;
 
+/// Steps between two snapshots.
+pub const HANDED_ON: usize = 25;
+
 /// Units of the edge model's scene that take part.
 // Emulated processors take a minute for four units of this model.
 const EDGE_UNITS: [usize; 4] = [0, 1, 2, 3];
@@ -33,9 +36,12 @@ impl Default for Fnv1a {
 impl Fnv1a {
     /// The four bytes of a number, least significant first.
     pub fn add(&mut self, value: f32) {
-        for byte in value.to_bits().to_le_bytes() {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
+        value.to_bits().to_le_bytes().iter().for_each(|byte| self.add_byte(*byte));
+    }
+
+    /// A byte.
+    pub fn add_byte(&mut self, byte: u8) {
+        self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
     }
 
     /// A unit's internal pose: rotation row by row, then the centre. Then its points, where it is soft.
@@ -58,6 +64,8 @@ pub struct Outcome {
     pub payload: u32,
     /// Hash of every step's internal poses: rotation row by row, then centre, unit by unit, and points of soft units.
     pub poses: u64,
+    /// Hash of the bytes of all snapshots on the way.
+    pub snapshots: u64,
     /// Steps that succeeded.
     pub steps: usize,
     /// Predictions of the network that took effect: units near something, over all steps.
@@ -66,8 +74,11 @@ pub struct Outcome {
 
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Outcome { name, payload, poses, steps, active } = self;
-        write!(f, "{name} model {payload:08x} poses {poses:016x} steps {steps} active {active}")
+        let Outcome { name, payload, poses, snapshots, steps, active } = self;
+        write!(
+            f,
+            "{name} model {payload:08x} poses {poses:016x} snapshots {snapshots:016x} steps {steps} active {active}"
+        )
     }
 }
 
@@ -157,7 +168,8 @@ pub fn quantised(packed: &[u8], precision: Precision) -> AlignedBuffer {
 }
 
 /// Rolls the scene of a model out, `STEPS` steps from the golden file's two frames. The scene of
-/// `tiny-i8` is `tiny.golden.safetensors`. A step that fails ends the rollout and counts.
+/// `tiny-i8` is `tiny.golden.safetensors`. A step that fails ends the rollout and counts. Every [`HANDED_ON`] steps another
+/// simulator goes on from a snapshot, which changes no bit.
 pub fn rollout(name: &str, file: &[u8]) -> Outcome {
     rollout_within(name, file, 16, 0)
 }
@@ -167,19 +179,38 @@ pub fn rollout_within(name: &str, file: &[u8], units: usize, spare: usize) -> Ou
     let start = Start::of(name);
     let model = Model::load(file).expect("model loads");
     let limits = Limits { units, points: start.room().1 + spare };
-    let mut room = Room::new(SlabSizes::new(model.config(), limits));
-    let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
+    let mut rooms: Vec<_> = (0..=STEPS / HANDED_ON)
+        .map(|_| Room::new(SlabSizes::new(model.config(), limits)))
+        .collect();
+    let mut simulators = rooms
+        .iter_mut()
+        .map(|room| Simulator::new(&model, limits, room.slabs()).expect("simulator"));
+    let mut simulator = simulators.next().expect("a simulator");
     start.observe(&mut simulator);
-    let mut hash = Fnv1a::default();
+    let (mut hash, mut snapshots) = (Fnv1a::default(), Fnv1a::default());
     let (mut steps, mut active) = (0, 0);
     while steps < STEPS {
+        if steps % HANDED_ON == HANDED_ON / 2 {
+            let mut bytes = vec![0; simulator.snapshot_bytes()];
+            simulator.snapshot(&mut bytes).expect("a snapshot");
+            simulator = simulators.next().expect("a simulator");
+            simulator.restore(&bytes).expect("its own snapshot");
+            bytes.iter().for_each(|byte| snapshots.add_byte(*byte));
+        }
         // A model of random weights may diverge, and must do so at the same step everywhere.
         let Ok(report) = simulator.step() else { break };
         // Rollouts in which nothing touches would compare free fall alone, and this count shows it.
         (steps, active) = (steps + 1, active + report.active_units);
         simulator.units().for_each(|unit| hash.add_unit(&unit));
     }
-    Outcome { name: name.into(), payload: model.file().payload_crc(), poses: hash.0, steps, active }
+    Outcome {
+        name: name.into(),
+        payload: model.file().payload_crc(),
+        poses: hash.0,
+        snapshots: snapshots.0,
+        steps,
+        active,
+    }
 }
 
 /// The outcome of each of so many copies of the scene that [`rollout`] rolls out, on an engine of
@@ -197,25 +228,38 @@ pub fn rollout_on(engine: Engine, copies: usize, name: &str, file: &[u8]) -> Vec
         start.observe(simulator);
         assert_eq!(simulator.replicate(copies), copies);
     });
-    let outcome = Outcome { name: name.into(), payload, poses: 0, steps: 0, active: 0 };
-    let mut outcomes = vec![(outcome, Fnv1a::default()); copies];
+    let outcome =
+        Outcome { name: name.into(), payload, poses: 0, snapshots: 0, steps: 0, active: 0 };
+    let mut outcomes = vec![(outcome, Fnv1a::default(), Fnv1a::default()); copies];
     engine.enter(|| {
-        for _ in 0..STEPS {
+        for step in 0..STEPS {
+            if step % HANDED_ON == HANDED_ON / 2 {
+                let simulator = world.simulator();
+                for (copy, (_, _, hash)) in outcomes.iter_mut().enumerate() {
+                    let mut bytes = vec![0; simulator.copy_snapshot_bytes()];
+                    simulator.snapshot_copy(copy, &mut bytes).expect("a snapshot");
+                    bytes.iter().for_each(|byte| hash.add_byte(*byte));
+                }
+            }
             let mut note = |copy: usize, report: Result<StepReport, StepError>| {
-                let (outcome, _): &mut (Outcome, Fnv1a) = &mut outcomes[copy];
+                let outcome: &mut Outcome = &mut outcomes[copy].0;
                 let report = report.expect("a step");
                 (outcome.steps, outcome.active) =
                     (outcome.steps + 1, outcome.active + report.active_units);
             };
             world.step_copies(&mut note).expect("steps");
             let simulator = world.simulator();
-            for (copy, (_, hash)) in outcomes.iter_mut().enumerate() {
+            for (copy, (_, hash, _)) in outcomes.iter_mut().enumerate() {
                 let units = copy * simulator.len()..(copy + 1) * simulator.len();
                 units.filter_map(|unit| simulator.unit(unit)).for_each(|unit| hash.add_unit(&unit));
             }
         }
     });
-    let finished = |(outcome, hash): (Outcome, Fnv1a)| Outcome { poses: hash.0, ..outcome };
+    let finished = |(outcome, poses, snapshots): (Outcome, Fnv1a, Fnv1a)| Outcome {
+        poses: poses.0,
+        snapshots: snapshots.0,
+        ..outcome
+    };
     outcomes.into_iter().map(finished).collect()
 }
 

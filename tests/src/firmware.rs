@@ -143,6 +143,15 @@ impl Rollout {
     }
 }
 
+/// What an image must print about a snapshot.
+fn snapshot(simulator: &Simulator<'_, '_>, name: &str) -> String {
+    let mut bytes = vec![0; simulator.snapshot_bytes()];
+    simulator.snapshot(&mut bytes).expect("a snapshot");
+    let mut hash = Fnv1a::default();
+    bytes.iter().for_each(|byte| hash.add_byte(*byte));
+    format!("{name}: snapshot of {} bytes {:016x}\n", bytes.len(), hash.0)
+}
+
 /// What the images can hold.
 const LIMITS: Limits = Limits { units: UNITS, points: UNITS * POINTS };
 
@@ -166,13 +175,17 @@ pub fn robot(file: &[u8]) -> String {
     let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
     let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
     let mut workcell = Workcell::observe(&mut simulator).expect("observation");
+    let mut middle = String::new();
     let mut rollout = Rollout::default();
     for step in 0..STEPS {
         workcell.prepare(&mut simulator, step).expect("changes");
+        if step == STEPS / 2 {
+            middle = snapshot(&simulator, "robot");
+        }
         rollout.step(&mut simulator);
         workcell.check(&simulator).expect("driven and fixed units");
     }
-    rollout.text(&simulator, "robot")
+    middle + &rollout.text(&simulator, "robot")
 }
 
 /// `walk.bin` of a recorded scene: frames 0 and `step`, and pivots that the frames between them show. The layout is in
@@ -226,12 +239,16 @@ pub fn walk(file: &[u8], scene: &[u8]) -> String {
     let mut room = Room::new(SlabSizes::new(model.config(), limits));
     let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
     walk.observe(&mut simulator).expect("observation");
+    let mut middle = String::new();
     let mut rollout = Rollout::default();
     for step in 0..walk::STEPS {
         walk.prepare(&mut simulator, step).expect("command");
+        if step == walk::STEPS / 2 {
+            middle = snapshot(&simulator, "walk");
+        }
         rollout.step(&mut simulator);
     }
-    rollout.text(&simulator, "walk")
+    middle + &rollout.text(&simulator, "walk")
 }
 
 /// Vertices of the sheet along each side, and patches that its cells are cut into.
@@ -323,12 +340,18 @@ pub fn drape(file: &[u8], scene: &[u8]) -> String {
     let mut simulator = Simulator::new(&model, limits, room.slabs()).expect("simulator");
     drape.observe(&mut simulator).expect("observation");
     let (mut rollout, mut hash) = (Rollout::default(), Fnv1a::default());
-    for _ in 0..drape::STEPS {
+    let mut middle = String::new();
+    for step in 0..drape::STEPS {
+        if step == drape::STEPS / 2 {
+            middle = snapshot(&simulator, "drape");
+        }
         rollout.step(&mut simulator);
         drape::each_number(&simulator, |number| hash.add(number));
     }
     let steps = drape::STEPS;
-    rollout.text(&simulator, "drape") + &format!("drape: {steps} steps, points {:016x}\n", hash.0)
+    middle
+        + &rollout.text(&simulator, "drape")
+        + &format!("drape: {steps} steps, points {:016x}\n", hash.0)
 }
 
 /// What the const functions say about the workspace: a line of lengths and bytes.

@@ -9,7 +9,7 @@ use rigidformer_core::{Observed, Simulator, Unit};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::drape::{Drape, STEPS, each_number, wrong};
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
-use rigidformer_firmware::rollout::{Board, Hash, Rollout, load};
+use rigidformer_firmware::rollout::{Board, Hash, Rollout, go_back, load};
 use rigidformer_firmware::{image, scene};
 use rigidformer_weights::SHELL;
 
@@ -70,6 +70,7 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         // In the middle, so that the poses at the end show that nothing has changed.
         if step == STEPS / 2 {
             refusals(&mut board, &drape);
+            go_back(&mut board, "drape")?;
         }
         rollout.step(&mut board)?;
         each_number(&board, |number| hash.add(number));

@@ -8,7 +8,7 @@ use rigidformer_core::{EditError, Simulator};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, slabs};
-use rigidformer_firmware::rollout::{Board, Rollout, load};
+use rigidformer_firmware::rollout::{Board, Rollout, go_back, load};
 use rigidformer_firmware::workcell::{STEPS, Workcell};
 use rigidformer_weights::NANO;
 
@@ -31,6 +31,9 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     let mut rollout = Rollout::new(counter);
     for step in 0..STEPS {
         workcell.prepare(&mut board, step).map_err(refused)?;
+        if step == STEPS / 2 {
+            go_back(&mut board, "robot")?;
+        }
         rollout.step(&mut board)?;
         workcell.check(&board)?;
     }

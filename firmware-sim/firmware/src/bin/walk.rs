@@ -7,7 +7,7 @@ use defmt::Display2Format;
 use rigidformer_core::Simulator;
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
-use rigidformer_firmware::rollout::{Board, Rollout, load};
+use rigidformer_firmware::rollout::{Board, Rollout, go_back, load};
 use rigidformer_firmware::walk::{STEPS, Walk};
 use rigidformer_firmware::{image, scene};
 use rigidformer_weights::G1;
@@ -44,6 +44,7 @@ fn case(counter: Counter) -> Result<(), &'static str> {
         // In the middle, so that the poses at the end show that nothing has changed.
         if step == STEPS / 2 {
             wrong(&mut board);
+            go_back(&mut board, "walk")?;
         }
         rollout.step(&mut board)?;
     }

@@ -13,6 +13,7 @@ pub mod image;
 pub mod memory;
 pub mod rollout;
 pub mod scene;
+pub mod snapshot;
 pub mod stack;
 pub mod stages;
 #[cfg(feature = "walk")]

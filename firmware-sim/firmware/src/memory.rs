@@ -139,7 +139,7 @@ const _: () = assert!(SIZES.bytes() <= BUDGET, "the workspace outgrew its RAM bu
 #[repr(transparent)]
 struct Slab<T>(UnsafeCell<T>);
 
-// SAFETY: only `slabs` and `snapshot_room` touch the content, each its own, and a flag each makes them do so once.
+// SAFETY: only `slabs` touches the content, and TAKEN makes it do so once.
 unsafe impl<T> Sync for Slab<T> {}
 
 // The check of the images finds slabs by these names and compares their lengths.
@@ -154,20 +154,6 @@ static POINT_SLOTS: Slab<[Point3<f32>; SIZES.points]> =
 static UNIT_SLOTS: Slab<[UnitSlot; SIZES.units]> =
     Slab(UnsafeCell::new([UnitSlot::EMPTY; SIZES.units]));
 static TAKEN: AtomicBool = AtomicBool::new(false);
-
-/// Bytes of a snapshot, at most: of a robot.
-const SNAPSHOT: usize = 24 * 1024;
-static BYTES: Slab<[u8; SNAPSHOT]> = Slab(UnsafeCell::new([0; SNAPSHOT]));
-static BYTES_TAKEN: AtomicBool = AtomicBool::new(false);
-
-/// Room for a snapshot, the first time. In images that take none it is not linked.
-pub fn snapshot_room() -> Option<&'static mut [u8]> {
-    if BYTES_TAKEN.swap(true, Ordering::Relaxed) {
-        return None;
-    }
-    // SAFETY: the line above lets one caller pass, so this is the only reference.
-    Some(unsafe { &mut *BYTES.0.get() })
-}
 
 /// The slabs, the first time.
 pub fn slabs() -> Option<Slabs<'static>> {

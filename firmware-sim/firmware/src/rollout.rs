@@ -4,7 +4,7 @@ use defmt::Display2Format;
 use rigidformer_core::{Model, Simulator, UnitView};
 
 use crate::counter::Counter;
-use crate::memory::{CONFIG, snapshot_room};
+use crate::memory::CONFIG;
 use crate::scene::Scene;
 use crate::stages::{NAMES, Stages};
 
@@ -155,24 +155,6 @@ impl Rollout {
         );
         self.cost
     }
-}
-
-/// Takes a step that does not count, and goes back to before it by a snapshot, whose bytes it reports.
-pub fn go_back(board: &mut Board<'_>, name: &'static str) -> Result<(), &'static str> {
-    let room = snapshot_room().ok_or("the room of the snapshot is taken")?;
-    let Ok(length) = board.snapshot(room) else { return Err("the snapshot has no room") };
-    let bytes = room.get(..length).unwrap_or_default();
-    if board.step().is_err() {
-        return Err("a step was refused");
-    }
-    if let Err(error) = board.restore(bytes) {
-        defmt::error!("restore: {}", Display2Format(&error));
-        return Err("a snapshot was refused");
-    }
-    let mut hash = Hash::default();
-    bytes.iter().for_each(|byte| hash.add_byte(*byte));
-    defmt::info!("{=str}: snapshot of {=usize} bytes {=u64:016x}", name, length, hash.value());
-    Ok(())
 }
 
 /// Takes steps and reports poses as bits.

@@ -9,7 +9,8 @@ use rigidformer_core::{Observed, Simulator, Unit};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::drape::{Drape, STEPS, each_number, wrong};
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
-use rigidformer_firmware::rollout::{Board, Hash, Rollout, go_back, load};
+use rigidformer_firmware::rollout::{Board, Hash, Rollout, load};
+use rigidformer_firmware::snapshot::go_back;
 use rigidformer_firmware::{image, scene};
 use rigidformer_weights::SHELL;
 

@@ -8,7 +8,8 @@ use rigidformer_core::{EditError, Simulator};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::image;
 use rigidformer_firmware::memory::{LIMITS, slabs};
-use rigidformer_firmware::rollout::{Board, Rollout, go_back, load};
+use rigidformer_firmware::rollout::{Board, Rollout, load};
+use rigidformer_firmware::snapshot::go_back;
 use rigidformer_firmware::workcell::{STEPS, Workcell};
 use rigidformer_weights::NANO;
 

@@ -7,7 +7,7 @@ use core::fmt::{Display, Formatter, Result};
 /// ```
 /// use rigidformer_weights::Decimal;
 /// assert_eq!(format!("{} s", Decimal(1.0 / 60.0)), "0.0166667 s");
-/// assert_eq!(format!("{}", Decimal(2.5e-12)), "25e-13");
+/// assert_eq!(format!("{}", Decimal(2.5e-12)), "2.5e-12");
 /// ```
 pub struct Decimal(pub f32);
 
@@ -21,7 +21,7 @@ fn scaled(size: f32, exponent: i32) -> f32 {
         let part = left.min(MOST_POWER);
         let power = 10_u32.pow(part) as f32;
         scaled = if exponent < 0 { scaled * power } else { scaled / power };
-        left -= part;
+        left = left.saturating_sub(part);
     }
     scaled
 }
@@ -42,18 +42,32 @@ impl Display for Decimal {
         let mut exponent = (-51..33).find(|e| scaled(size, *e) < 999_999.5).unwrap_or(33);
         let mut digits = (scaled(size, exponent) + 0.5) as u32;
         while digits > 0 && digits.is_multiple_of(10) {
-            (digits, exponent) = (digits / 10, exponent + 1);
+            (digits, exponent) = (digits / 10, exponent.saturating_add(1));
         }
-        let places = exponent.unsigned_abs();
-        let power = if places <= MOST_POWER { 10_u32.pow(places) } else { 0 };
-        match digits.checked_mul(power) {
-            _ if digits == 0 => f.write_str("0"),
-            _ if power > 0 && exponent < 0 => {
-                write!(f, "{}.{:0width$}", digits / power, digits % power, width = places as usize)
-            }
-            Some(whole) if power > 0 => write!(f, "{whole}"),
-            _ => write!(f, "{digits}e{exponent}"),
+        let power = 10_u32.checked_pow(exponent.unsigned_abs());
+        if digits == 0 {
+            return f.write_str("0");
         }
+        if exponent < 0 && power.is_some() {
+            return write_with_point(f, digits, exponent.unsigned_abs());
+        }
+        if let Some(whole) = power.and_then(|power| digits.checked_mul(power)) {
+            return write!(f, "{whole}");
+        }
+        let places = digits.ilog10();
+        write_with_point(f, digits, places)?;
+        write!(f, "e{}", exponent.saturating_add_unsigned(places))
+    }
+}
+
+/// Writes digits, so many of them behind a point.
+fn write_with_point(f: &mut Formatter<'_>, digits: u32, places: u32) -> Result {
+    let power = 10_u32.saturating_pow(places);
+    let whole = digits.checked_div(power).unwrap_or_default();
+    write!(f, "{whole}")?;
+    match digits.checked_rem(power) {
+        Some(rest) if places > 0 => write!(f, ".{rest:0width$}", width = places as usize),
+        _ => Ok(()),
     }
 }
 
@@ -64,14 +78,16 @@ mod tests {
 
     #[test]
     fn numbers_read_as_they_are() {
-        let cases: [(f32, &str); 16] = [
+        let cases: [(f32, &str); 18] = [
             (0.0, "0"),
             (-0.0, "0"),
             (0.01, "0.01"),
             (-0.05, "-0.05"),
             (5.0 / 240.0, "0.0208333"),
             (1e-6, "0.000001"),
-            (1.25e-9, "125e-11"),
+            (1.25e-9, "1.25e-9"),
+            (2e-12, "2e-12"),
+            (1.5e30, "1.5e30"),
             (999_999.9, "1000000"),
             (99_999.96, "100000"),
             (123_456.0, "123456"),

@@ -1,14 +1,18 @@
-//! Processor time of a step: `rf_step` beside Rust's `World` on one thread, in turns, of a pile of cubes.
+//! Processor time of a step: `rf_step` beside Rust's `World` and Python's, on one thread, in turns, of piles of cubes: five of 8
+//! points, and ten of 64 as W-edge has.
 //!
 //! ```sh
 //! cargo bench -p rigidformer-capi
+//! cargo bench -p rigidformer-capi -- --python target/python/venv/bin/python    # after `cargo xtask python`
 //! ```
 // Handles live here, and arrays are as long as they say.
 #![allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::io::{BufRead, BufReader, Write};
 use std::mem::MaybeUninit;
 use std::path::Path;
+use std::process::{Child, ChildStdout, Command, Stdio};
 use std::ptr::{null, null_mut};
 
 use nalgebra::{Isometry3, Point3};
@@ -24,27 +28,43 @@ use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 use rustix::time::{ClockId, clock_gettime};
 
-const CUBES: usize = 5;
+/// Units and points along a cube's edge.
+const PILES: [(usize, usize); 2] = [(5, 2), (10, 4)];
 /// From the start to rest, at 24 steps a second.
 const STEPS: usize = 11;
 const TURNS: usize = 201;
 const PHYSICS: [f32; 3] = [1.0, 0.5, 0.4];
 
 fn main() {
+    let words: Vec<String> = std::env::args().collect();
     // Cargo hands `--bench` in, and tests run it without.
-    let turns = if std::env::args().any(|word| word == "--bench") { TURNS } else { 1 };
-    println!("{:<12} {:>9} {:>9} {:>6}", "model", "C us", "Rust us", "ratio");
+    let turns = if words.iter().any(|word| word == "--bench") { TURNS } else { 1 };
+    let python = words.windows(2).find(|pair| pair[0] == "--python").map(|pair| &*pair[1]);
+    println!(
+        "{:<8} {:<10} {:>9} {:>9} {:>9} {:>8} {:>10}",
+        "model", "units", "C us", "Rust us", "Python us", "C / Rust", "C / Python"
+    );
     for name in ["nano", "edge-i8", "edge"] {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../weights/models");
-        let file = LoadedModel::open(&path.join(format!("{name}.rfm"))).unwrap();
-        let (mut c, mut rust) = (C::new(&file), Rust::new(&file));
-        let (mut of_c, mut of_rust) = (Vec::new(), Vec::new());
-        for _ in 0..turns {
-            of_c.push(c.turn());
-            of_rust.push(rust.turn());
+        let path = path.join(format!("{name}.rfm"));
+        let file = LoadedModel::open(&path).unwrap();
+        for pile in PILES {
+            let (mut c, mut rust) = (C::new(&file, pile), Rust::new(&file, pile));
+            let mut python = python.map(|python| Python::new(python, &path, pile));
+            let (mut of_c, mut of_rust, mut of_python) = (Vec::new(), Vec::new(), Vec::new());
+            for _ in 0..turns {
+                of_c.push(c.turn());
+                of_rust.push(rust.turn());
+                of_python.push(python.as_mut().map_or(f64::NAN, Python::turn));
+            }
+            let [of_c, of_rust, of_python] = [of_c, of_rust, of_python].map(median);
+            let units = format!("{} x {}", pile.0, pile.1.pow(3));
+            println!(
+                "{name:<8} {units:<10} {of_c:>9.1} {of_rust:>9.1} {of_python:>9.1} {:>8.3} {:>10.3}",
+                of_c / of_rust,
+                of_c / of_python
+            );
         }
-        let [of_c, of_rust] = [of_c, of_rust].map(median);
-        println!("{name:<12} {of_c:>9.1} {of_rust:>9.1} {:>6.3}", of_c / of_rust);
     }
     println!("kernels: {}", Kernel::chosen().unwrap());
 }
@@ -60,8 +80,10 @@ fn now_us() -> f64 {
     1e6 * now.tv_sec as f64 + 1e-3 * now.tv_nsec as f64
 }
 
-fn corners() -> [[f32; 3]; 8] {
-    std::array::from_fn(|i| [i & 4, i & 2, i & 1].map(|bit| if bit == 0 { -0.2 } else { 0.2 }))
+/// A cube's lattice of so many points along each edge.
+fn lattice(side: usize) -> Vec<[f32; 3]> {
+    let at = |k: usize| 0.4 * k as f32 / (side - 1) as f32 - 0.2;
+    (0..side.pow(3)).map(|i| [i / (side * side), i / side % side, i % side].map(at)).collect()
 }
 
 /// Where a cube is a step ago and now.
@@ -85,11 +107,12 @@ fn at(position: [f32; 3]) -> rf_pose {
 }
 
 impl C {
-    fn new(model: &LoadedModel) -> Self {
+    fn new(model: &LoadedModel, (cubes, side): (usize, usize)) -> Self {
+        let points = lattice(side);
         let config = rf_config {
             abi_version: RF_ABI_VERSION,
-            max_units: CUBES as u32,
-            max_points: 8 * CUBES as u32,
+            max_units: cubes as u32,
+            max_points: (points.len() * cubes) as u32,
             threads: 0,
             model: model.bytes().as_ptr(),
             model_bytes: model.len(),
@@ -102,19 +125,18 @@ impl C {
         assert_eq!(unsafe { rf_init(&config, memory, bytes, &mut handle, null_mut()) }, RF_OK);
         assert_eq!(unsafe { rf_set_dt(handle, 1.0 / 24.0) }, RF_OK);
         let [mass_kg, friction, restitution] = PHYSICS;
-        let corners = corners();
         let unit = rf_unit {
             physics: rf_physics { mass_kg, friction, restitution },
             role: RF_ROLE_FREE,
             body: RF_OWN_BODY,
-            points: corners.as_ptr().cast(),
-            point_count: 8,
+            points: points.as_ptr().cast(),
+            point_count: points.len(),
             inertia_kg_m2: [0.0; 3],
             piece_points: null(),
             piece_counts: null(),
             piece_count: 0,
         };
-        let ids = (0..CUBES).map(|i| {
+        let ids = (0..cubes).map(|i| {
             let (mut id, pose) = (0, at(poses(i)[1]));
             assert_eq!(unsafe { rf_add(handle, &unit, &pose, &pose, &mut id) }, RF_OK);
             id
@@ -141,16 +163,16 @@ struct Rust {
 }
 
 impl Rust {
-    fn new(model: &LoadedModel) -> Self {
+    fn new(model: &LoadedModel, (cubes, side): (usize, usize)) -> Self {
+        let points: Vec<_> = lattice(side).into_iter().map(Point3::from).collect();
         let engine = Engine { kernel: Kernel::chosen().unwrap(), threads: Threads::ONE };
-        let limits = Limits { units: CUBES, points: 8 * CUBES };
+        let limits = Limits { units: cubes, points: points.len() * cubes };
         let model = model.clone().for_host().unwrap();
         let mut world = World::on(engine, &model, limits, 1).unwrap();
         world.set_dt(1.0 / 24.0).unwrap();
         let [mass_kg, friction, restitution] = PHYSICS;
-        let corners = corners().map(Point3::from);
-        let unit = Unit::new(&corners, Physics { mass_kg, friction, restitution });
-        let ids = (0..CUBES).map(|i| {
+        let unit = Unit::new(&points, Physics { mass_kg, friction, restitution });
+        let ids = (0..cubes).map(|i| {
             let [x, y, z] = poses(i)[1];
             world.add(&unit, &Isometry3::translation(x, y, z)).unwrap()
         });
@@ -167,5 +189,42 @@ impl Rust {
             self.world.step().unwrap();
         }
         (now_us() - start) / STEPS as f64
+    }
+}
+
+/// A process with Python's `World`, which takes a turn for each line that it reads.
+struct Python {
+    child: Child,
+    answers: BufReader<ChildStdout>,
+}
+
+impl Python {
+    fn new(python: &str, model: &Path, (cubes, side): (usize, usize)) -> Self {
+        let mut child = Command::new(python)
+            .arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("benches/step.py"))
+            .arg(model)
+            .args([cubes, side, STEPS].map(|count| count.to_string()))
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let answers = BufReader::new(child.stdout.take().unwrap());
+        Python { child, answers }
+    }
+
+    fn turn(&mut self) -> f64 {
+        let questions = self.child.stdin.as_mut().unwrap();
+        questions.write_all(b"\n").unwrap();
+        questions.flush().unwrap();
+        let mut answer = String::new();
+        self.answers.read_line(&mut answer).unwrap();
+        answer.trim().parse().unwrap()
+    }
+}
+
+impl Drop for Python {
+    fn drop(&mut self) {
+        drop(self.child.stdin.take());
+        let _ = self.child.wait();
     }
 }

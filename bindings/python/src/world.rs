@@ -698,10 +698,12 @@ impl World {
     /// >>> corners = 0.1 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
     /// >>> world = rf.World(rf.Model("edge"), units=1, points=8)
     /// >>> world.dt_s = 1e-4
-    /// >>> world.gravity = (0, 0, -10)
+    /// >>> world.gravity_m_s2 = [0, 0, -10]
     /// >>> _ = world.add(rf.Unit(corners), [1e5, 0, 10, 1, 0, 0, 0])
+    /// >>> before = world.centres()
     /// >>> _ = world.step(3)
-    /// >>> bool(abs(10 - world.centres()[0, 2] - 10 * 3e-4**2 / 2) < 1e-12)
+    /// >>> fallen = (before - world.centres())[0, 2]
+    /// >>> bool(abs(fallen - 10 * 1e-4**2 * (1 + 2 + 3)) < 1e-12)
     /// True
     fn centres<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let world = self.lock(py)?;

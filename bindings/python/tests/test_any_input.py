@@ -177,6 +177,7 @@ def sound_calls(nano, scene, folder, random):
         ),
         "World.set_velocities": (world.set_velocities, {"velocities": np.ones((2, 6), f32)}),
         "World.velocity": (world.velocity, {"id": first}),
+        "World.centres": (world.centres, {}),
         "World.velocities": (world.velocities, {"out": np.zeros((2, 6), f32)}),
         "World.snapshot": (world.snapshot, {}),
         "World.restore": (world.restore, {"snapshot": world.snapshot()}),

@@ -54,7 +54,7 @@ def pieces() -> rf.Scene:
     """Eight cubes that hold together to one, which is thrown on the ground; one bond is recorded to break."""
     places = 0.2 * np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     pairs = [(a, b) for a in range(8) for b in range(a) if np.abs(places[a] - places[b]).sum() < 0.3]
-    poses = [[at(x, y, z + 1 - 0.03 * f - fallen(f)) for x, y, z in places] for f in range(LAST + 1)]
+    poses = [[at(x, y, z + 1 - 0.06 * f - fallen(f)) for x, y, z in places] for f in range(LAST + 1)]
     bonds = [(a, b, 10 if pair == 3 else None) for pair, (a, b) in enumerate(pairs)]
     return rf.Scene([rf.Unit(cube(0.1), body=3)] * 8, poses, RATE_HZ, planes=[GROUND], bonds=bonds)
 

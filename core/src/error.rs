@@ -1,7 +1,7 @@
 //! One small error per phase; its numbers say what to change.
 
 use crate::scene::UnitId;
-use rigidformer_weights::{Decimal, FormatError};
+use rigidformer_weights::{AtMost, Decimal, FormatError};
 use thiserror::Error;
 
 /// Name of a tensor inside a model, such as `blocks.2.attention.qkvg.weight`.
@@ -274,7 +274,7 @@ pub enum ObserveError {
         "a step of {} s would take {} of the longest steps that the model knows; take steps of {} s at most",
         Decimal(*.dt_s),
         Decimal(*.substeps),
-        Decimal(*.longest_s)
+        AtMost(*.longest_s)
     )]
     LongTimestep {
         /// Seconds of the step.

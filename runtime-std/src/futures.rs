@@ -208,7 +208,7 @@ impl FutureScene<'_> {
     /// Adds to the velocities of a unit, as [`set_velocity`](Self::set_velocity) gives them.
     ///
     /// # Errors
-    /// [`ChangeError`]; the unit is what it was.
+    /// [`ChangeError`], as of a unit out of play, or that would turn by more than half a turn in a substep; the unit is what it was.
     pub fn push(
         &mut self,
         unit: usize,

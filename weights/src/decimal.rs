@@ -26,38 +26,57 @@ fn scaled(size: f32, exponent: i32) -> f32 {
     scaled
 }
 
+/// As [`Decimal`], of a positive number the greatest of six digits that is no greater: a limit that is read off a message holds.
+///
+/// ```
+/// use rigidformer_weights::AtMost;
+/// assert_eq!(format!("{} s", AtMost(0.530_591_7)), "0.530591 s");
+/// ```
+pub struct AtMost(pub f32);
+
 impl Display for Decimal {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        if self.0.is_nan() {
-            return f.write_str("NaN");
-        }
-        if self.0 < 0.0 {
-            f.write_str("-")?;
-        }
-        if self.0.is_infinite() {
-            return f.write_str("inf");
-        }
-        // From the least f32 to the greatest; the first has six digits.
-        let size = self.0.abs();
-        let mut exponent = (-51..33).find(|e| scaled(size, *e) < 999_999.5).unwrap_or(33);
-        let mut digits = (scaled(size, exponent) + 0.5) as u32;
-        while digits > 0 && digits.is_multiple_of(10) {
-            (digits, exponent) = (digits / 10, exponent.saturating_add(1));
-        }
-        let power = 10_u32.checked_pow(exponent.unsigned_abs());
-        if digits == 0 {
-            return f.write_str("0");
-        }
-        if exponent < 0 && power.is_some() {
-            return write_with_point(f, digits, exponent.unsigned_abs());
-        }
-        if let Some(whole) = power.and_then(|power| digits.checked_mul(power)) {
-            return write!(f, "{whole}");
-        }
-        let places = digits.ilog10();
-        write_with_point(f, digits, places)?;
-        write!(f, "e{}", exponent.saturating_add_unsigned(places))
+        write_rounded(f, self.0, 0.5)
     }
+}
+
+impl Display for AtMost {
+    fn fmt(&self, f: &mut Formatter<'_>) -> Result {
+        write_rounded(f, self.0, 0.0)
+    }
+}
+
+/// Writes a number; `half` is added to its sixth digit before the others are left out.
+fn write_rounded(f: &mut Formatter<'_>, number: f32, half: f32) -> Result {
+    if number.is_nan() {
+        return f.write_str("NaN");
+    }
+    if number < 0.0 {
+        f.write_str("-")?;
+    }
+    if number.is_infinite() {
+        return f.write_str("inf");
+    }
+    // From the least f32 to the greatest; the first has six digits.
+    let size = number.abs();
+    let mut exponent = (-51..33).find(|e| scaled(size, *e) < 1e6 - half).unwrap_or(33);
+    let mut digits = (scaled(size, exponent) + half) as u32;
+    while digits > 0 && digits.is_multiple_of(10) {
+        (digits, exponent) = (digits / 10, exponent.saturating_add(1));
+    }
+    let power = 10_u32.checked_pow(exponent.unsigned_abs());
+    if digits == 0 {
+        return f.write_str("0");
+    }
+    if exponent < 0 && power.is_some() {
+        return write_with_point(f, digits, exponent.unsigned_abs());
+    }
+    if let Some(whole) = power.and_then(|power| digits.checked_mul(power)) {
+        return write!(f, "{whole}");
+    }
+    let places = digits.ilog10();
+    write_with_point(f, digits, places)?;
+    write!(f, "e{}", exponent.saturating_add_unsigned(places))
 }
 
 /// Writes digits, so many of them behind a point.
@@ -73,7 +92,7 @@ fn write_with_point(f: &mut Formatter<'_>, digits: u32, places: u32) -> Result {
 
 #[cfg(test)]
 mod tests {
-    use super::Decimal;
+    use super::{AtMost, Decimal};
     use std::string::ToString;
 
     #[test]
@@ -101,6 +120,16 @@ mod tests {
         for (number, expected) in cases {
             assert_eq!(Decimal(number).to_string(), expected, "{number}");
         }
+    }
+
+    #[test]
+    fn limits_hold_as_they_are_read() {
+        for limit in (1..100_000).map(|k| k as f32 * 1.7e-5) {
+            let read: f32 = AtMost(limit).to_string().parse().unwrap();
+            assert!(read <= limit && read > limit * (1.0 - 1.2e-5), "{limit} {read}");
+        }
+        assert_eq!(AtMost(0.7).to_string(), "0.7");
+        assert_eq!(AtMost(999_999.9).to_string(), "999999");
     }
 
     #[test]

@@ -107,7 +107,7 @@ pub use config::{
     IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Scope,
     Similarity,
 };
-pub use decimal::Decimal;
+pub use decimal::{AtMost, Decimal};
 pub use error::{FormatError, Section};
 #[cfg(feature = "std")]
 pub use files::{

@@ -19,9 +19,10 @@ unit = rf.Unit(points, mass_kg=1.0, friction=0.5, restitution=0.4)
 
 def poses(i):
     """Where a cube is a step ago and now: x, y, z, then a quaternion with w first."""
-    column, row = i % 3, i // 3
-    before = [0.45 * column, 0.05, 0.25 + 0.45 * row, 1, 0, 0, 0]
-    now = [0.43 * column, 0.0, 0.21 + 0.42 * row, 1, 0, 0, 0]
+    f = np.float32
+    column, row = f(i % 3), f(i // 3)
+    before = [f(0.45) * column, 0.05, f(0.25) + f(0.45) * row, 1, 0, 0, 0]
+    now = [f(0.43) * column, 0.0, f(0.21) + f(0.42) * row, 1, 0, 0, 0]
     return before, now
 
 

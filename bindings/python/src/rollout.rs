@@ -49,7 +49,7 @@ impl Trajectory {
     #[pyo3(signature = (poses, frames, *, points = None, holding = None))]
     fn new(
         poses: &Bound<'_, PyAny>,
-        frames: Vec<u32>,
+        #[pyo3(from_py_with = whole::frames)] frames: Vec<u32>,
         points: Option<&Bound<'_, PyAny>>,
         holding: Option<Vec<Vec<bool>>>,
     ) -> PyResult<Self> {

@@ -293,11 +293,11 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes gravity, m/s^2.
+    /// Changes gravity, m/s^2. Units keep their velocities.
     ///
     /// # Errors
-    /// [`EditError::BadGravity`]; for models that measure time by it also [`ObserveError::BadTimestep`] and
-    /// [`ObserveError::LongTimestep`], as an [`EditError`]. Gravity is what it was.
+    /// [`EditError::BadGravity`]; [`ObserveError::BadTimestep`], as an [`EditError`], where a unit would come from beyond the largest
+    /// coordinate, and for models that measure time by gravity also [`ObserveError::LongTimestep`]. Gravity is what it was.
     pub fn set_gravity(&mut self, gravity_m_s2: Vector3<f32>) -> Result<(), EditError> {
         in_own_environment(|| self.set_gravity_here(gravity_m_s2))
     }

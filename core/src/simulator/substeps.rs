@@ -65,7 +65,9 @@ impl Simulator<'_, '_> {
             true => [Vector3::zeros(); 2],
             false => [self.scene.fall() * 0.5, gravity * (0.5 * time.dt_s * time.dt_s)],
         };
-        let motion = Retimed { share, halves };
+        let substeps = 0.5 * time.substeps.saturating_sub(1) as f32;
+        let new_lead = gravity * (time.dt_s * time.dt_s) * substeps;
+        let motion = Retimed { share, halves, leads: [self.scene.gravity_lead_m(), new_lead] };
         let measure = self.scene.measure;
         // All are tried before any is changed.
         for changes in [false, true] {

@@ -143,6 +143,30 @@ fn velocities_last_where_the_step_or_gravity_changes() {
     });
 }
 
+/// What is put somewhere without motion stays there without gravity, and rests on the ground, whatever the step becomes.
+#[test]
+fn what_is_put_down_has_no_motion_at_another_step_or_gravity() {
+    let put = |height_m: f32, gravity: f32, dt_s: f32| {
+        with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+            simulator.set_dt(1.0 / 24.0).unwrap();
+            simulator.set_planes(&[Plane::ground(1.0, 1.0)]).unwrap();
+            let pose = Isometry3::translation(0.0, 0.0, height_m);
+            let id = simulator.add(&Unit::new(&cube(), WOOD), &pose, &pose).unwrap();
+            let began = centre(simulator, id);
+            simulator.set_gravity(Vector3::new(0.0, 0.0, gravity)).unwrap();
+            simulator.set_dt(dt_s).unwrap();
+            run(simulator, 0.5, 1000);
+            (centre(simulator, id) - began).norm()
+        })
+    };
+    for (height_m, gravity, dt_s) in
+        [(5.0, 0.0, 1.0 / 24.0), (5.0, 0.0, 1e-3), (HALF_M, -G, 1.0 / 240.0), (HALF_M, -1.62, 0.1)]
+    {
+        let moved = put(height_m, gravity, dt_s);
+        assert!(moved < 1e-3, "{gravity} m/s^2, {dt_s} s: {moved} m");
+    }
+}
+
 /// A sensor's nonsense among the units takes no digits from the others, whichever comes first.
 #[test]
 fn a_unit_far_away_takes_nothing_from_the_others() {

@@ -8,8 +8,11 @@
 //!
 //! Three more say whether a prediction is plausible at all: [`rigidity`], [`Penetration`] and how far the links of a body come
 //! [`apart`].
+//!
+//! All are computed to nearest, whatever the caller's thread has set ([`in_own_environment`]).
 
 use nalgebra::{Isometry3, Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Plane, Role};
 use rigidformer_runtime::hull::ConvexHull;
 use rigidformer_runtime::pivots::Pivot;
@@ -30,9 +33,11 @@ pub struct FrameErrors {
 
 /// Angle between two orientations, degrees from 0 to 180.
 pub fn angle_deg(a: &Isometry3<f32>, b: &Isometry3<f32>) -> f64 {
-    let turn = a.rotation.cast::<f64>().inverse() * b.rotation.cast::<f64>();
-    // Rounding makes a unit quaternion longer than 1, where asin is NaN.
-    2.0 * turn.imag().norm().min(1.0).asin().to_degrees()
+    in_own_environment(|| {
+        let turn = a.rotation.cast::<f64>().inverse() * b.rotation.cast::<f64>();
+        // Rounding makes a unit quaternion longer than 1, where asin is NaN.
+        2.0 * turn.imag().norm().min(1.0).asin().to_degrees()
+    })
 }
 
 /// Distances of the two images of each pivot at each sample of a prediction from a frame to another; metres.
@@ -40,7 +45,7 @@ pub fn apart(predicted: &Trajectory, pivots: &[Pivot], first: u32, last: u32) ->
     let samples = predicted.iter().filter(|(frame, _)| (first..=last).contains(frame));
     let distances =
         samples.flat_map(|(_, poses)| pivots.iter().filter_map(move |pivot| pivot.apart_m(poses)));
-    distances.collect()
+    in_own_environment(|| distances.collect())
 }
 
 /// How far links come apart, over pivots, samples and scenes.
@@ -68,13 +73,23 @@ impl Apart {
         // Without distances there is no figure, and 0 would look like a good one.
         let last = distances_m.len().checked_sub(1)?;
         let at = |share: f64| distances_m.get((last as f64 * share).round() as usize).copied();
-        Some(Apart { median_m: at(0.5)?, most_m: at(0.99)?, max_m: at(1.0)? })
+        in_own_environment(|| {
+            Some(Apart { median_m: at(0.5)?, most_m: at(0.99)?, max_m: at(1.0)? })
+        })
     }
 }
 
 /// Errors of `predicted` against the record of `scene` at a frame, over its free units; zero without any. `None` if
 /// either has no such frame. Between samples the prediction is interpolated ([`Trajectory::pose`]).
 pub fn frame_errors(
+    predicted: &Trajectory,
+    scene: &RecordedScene,
+    frame: u32,
+) -> Option<FrameErrors> {
+    in_own_environment(|| frame_errors_here(predicted, scene, frame))
+}
+
+fn frame_errors_here(
     predicted: &Trajectory,
     scene: &RecordedScene,
     frame: u32,
@@ -109,11 +124,11 @@ pub fn frame_errors(
 pub fn mean(errors: &[FrameErrors]) -> FrameErrors {
     let count = errors.len().max(1) as f64;
     let of = |value: fn(&FrameErrors) -> f64| errors.iter().map(value).sum::<f64>() / count;
-    FrameErrors {
+    in_own_environment(|| FrameErrors {
         position_m: of(|errors| errors.position_m),
         orientation_rms_deg: of(|errors| errors.orientation_rms_deg),
         orientation_mean_deg: of(|errors| errors.orientation_mean_deg),
-    }
+    })
 }
 
 /// Largest relative change of a distance between two points of one unit, over all samples of a trajectory.
@@ -122,6 +137,10 @@ pub fn mean(errors: &[FrameErrors]) -> FrameErrors {
 /// Pairs closer than a tenth of the longest such distance are left out, since rounding alone changes those much. What
 /// is measured is what a user sees who applies the predicted poses in f32.
 pub fn rigidity(predicted: &Trajectory, scene: &RecordedScene) -> f64 {
+    in_own_environment(|| rigidity_here(predicted, scene))
+}
+
+fn rigidity_here(predicted: &Trajectory, scene: &RecordedScene) -> f64 {
     let mut worst: f64 = 0.0;
     let mut moved: Vec<Point3<f32>> = Vec::new();
     for (_, poses) in predicted.iter() {
@@ -168,10 +187,10 @@ pub struct Penetration {
 impl Penetration {
     /// The deeper of both, ground and units apart.
     pub fn max(self, other: Self) -> Self {
-        Self {
+        in_own_environment(|| Self {
             ground_m: self.ground_m.max(other.ground_m),
             units_m: self.units_m.max(other.units_m),
-        }
+        })
     }
 }
 
@@ -189,8 +208,9 @@ impl<'s> PenetrationProbe<'s> {
     /// Prepares a scene's units.
     pub fn new(scene: &'s RecordedScene) -> Self {
         let units = scene.units();
-        let hulls = units.iter().map(hulls_of).collect();
-        let spheres = units.iter().map(bounding_sphere).collect();
+        let (hulls, spheres) = in_own_environment(|| {
+            (units.iter().map(hulls_of).collect(), units.iter().map(bounding_sphere).collect())
+        });
         // Depth does not depend on friction and restitution, so zeros do.
         let planes =
             scene.planes().map_or_else(|| vec![Plane::ground(0.0, 0.0)], <[Plane]>::to_vec);
@@ -199,6 +219,10 @@ impl<'s> PenetrationProbe<'s> {
 
     /// Penetration at the given poses, (units).
     pub fn measure(&self, poses: &[Isometry3<f32>]) -> Penetration {
+        in_own_environment(|| self.measure_here(poses))
+    }
+
+    fn measure_here(&self, poses: &[Isometry3<f32>]) -> Penetration {
         let mut lowest: f32 = 0.0;
         let mut deepest: f32 = 0.0;
         for (a, (unit, pose)) in self.scene.units().iter().zip(poses).enumerate() {

@@ -2,6 +2,7 @@
 
 use nalgebra::Point3;
 use rigidformer_core::Role;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
@@ -38,8 +39,10 @@ impl PointTrajectory {
         if rest == 0 {
             return Some(before.clone());
         }
-        let (after, share) = (self.samples.get(sample + 1)?, rest as f32 / self.step as f32);
-        Some(before.iter().zip(after).map(|(a, b)| a + (b - a) * share).collect())
+        let after = self.samples.get(sample + 1)?;
+        let share = in_own_environment(|| rest as f32 / self.step as f32);
+        let points = before.iter().zip(after).map(|(a, b)| a + (b - a) * share);
+        Some(in_own_environment(|| points.collect()))
     }
 }
 

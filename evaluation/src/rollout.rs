@@ -96,11 +96,16 @@ impl Trajectory {
         if rest == 0 {
             return Some(before);
         }
-        Some(between(&before, &at(sample + 1)?, rest as f32 / self.step as f32))
+        let after = at(sample + 1)?;
+        Some(in_own_environment(|| between(&before, &after, rest as f32 / self.step as f32)))
     }
 
     /// As [`pose`](Self::pose) at any time, in frames, which need not be a whole number.
     pub fn pose_at(&self, frames: f64, unit: usize) -> Option<Isometry3<f32>> {
+        in_own_environment(|| self.pose_at_here(frames, unit))
+    }
+
+    fn pose_at_here(&self, frames: f64, unit: usize) -> Option<Isometry3<f32>> {
         let since = (frames - f64::from(self.first_frame)) / f64::from(self.step);
         // Negated, so that NaN is outside.
         if !(since >= 0.0 && unit < self.units) {

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rigidformer_core::Role;
 use rigidformer_core::geometry::kabsch_f64;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
@@ -137,20 +138,23 @@ pub fn vertex_error_m(points: &[Point3<f32>], truth: &[Point3<f32>]) -> Option<f
         |(a, b): (&Point3<f32>, &Point3<f32>)| (a.cast::<f64>() - b.cast::<f64>()).norm();
     let count = truth.len();
     // A mean of no points is NaN, which would spread to the mean over scenes.
-    (points.len() == count && count > 0)
-        .then(|| points.iter().zip(truth).map(distance).sum::<f64>() / count as f64)
+    (points.len() == count && count > 0).then(|| {
+        in_own_environment(|| points.iter().zip(truth).map(distance).sum::<f64>() / count as f64)
+    })
 }
 
 /// Length of the diagonal of the box around a scene's soft points at rest, metres: what shares are of.
 pub fn size_m(scene: &RecordedScene) -> f64 {
     let points = scene.units().iter().filter(|unit| unit.soft.is_some()).flat_map(|u| &u.points);
-    let mut low = Vector3::repeat(f64::INFINITY);
-    let mut high = -low;
-    for point in points {
-        let p = point.coords.cast::<f64>();
-        (low, high) = (low.inf(&p), high.sup(&p));
-    }
-    (high - low).norm()
+    in_own_environment(|| {
+        let mut low = Vector3::repeat(f64::INFINITY);
+        let mut high = -low;
+        for point in points {
+            let p = point.coords.cast::<f64>();
+            (low, high) = (low.inf(&p), high.sup(&p));
+        }
+        (high - low).norm()
+    })
 }
 
 /// Errors of a predictor at a frame, means over scenes.

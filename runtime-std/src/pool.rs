@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use rigidformer_core::kernels::in_own_environment;
 
 /// Processes, each forked from the one before, that make threads.
 const MOST_PROCESSES: usize = 32;
@@ -37,7 +38,9 @@ fn pool() -> Option<&'static Pool> {
         claimed.map_or_else(|process| process == this, |_| true)
     };
     let (index, slot) = SLOTS.iter().enumerate().find(|(_, slot)| mine(slot))?;
-    slot.pool.get_or_init(|| if index == 0 { global() } else { own() }).as_ref()
+    // Threads begin with what the one has set that makes them.
+    let made = || in_own_environment(|| if index == 0 { global() } else { own() });
+    slot.pool.get_or_init(made).as_ref()
 }
 
 /// Rayon's own threads.

@@ -117,7 +117,7 @@ impl RecordedUnit {
             Some(frames) => frames.get(frame).cloned(),
             None => {
                 let pose = self.poses.get(frame)?;
-                Some(self.points.iter().map(|point| pose * point).collect())
+                Some(in_own_environment(|| self.points.iter().map(|point| pose * point).collect()))
             }
         }
     }
@@ -499,6 +499,10 @@ impl RecordedScene {
     /// The command of a step from frame `from` to frame `to`: the mean over frames `from` to `to` - 1, of set points that of frame
     /// `to` - 1. `None` without commands, or if one of those frames was not recorded or there is none.
     pub fn command_of_step(&self, from: usize, to: usize) -> Option<Vec<f32>> {
+        in_own_environment(|| self.mean_command(from, to))
+    }
+
+    fn mean_command(&self, from: usize, to: usize) -> Option<Vec<f32>> {
         let Commands { size, values, set_points } = self.commands.as_ref()?;
         let rows = values.get(from.checked_mul(*size)?..to.checked_mul(*size)?)?;
         let count = to.checked_sub(from).filter(|count| *count > 0)? as f64;

@@ -14,6 +14,11 @@ use rigidformer_core::{
     Health, Joint, Limits, Model, Observed, Physics, Plane, Posed, Role, Simulator, SlabSizes,
     Slabs, Unit, UnitSlot, Velocity,
 };
+use rigidformer_evaluation::metrics::{self, Apart, FrameErrors, Penetration, PenetrationProbe};
+use rigidformer_evaluation::predicted::PointTrajectory;
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
+use rigidformer_evaluation::soft;
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
 use rigidformer_runtime::hull::ConvexHull;
@@ -22,7 +27,8 @@ use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::mesh::{self, Format, TriangleMesh};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::noise::Noise;
-use rigidformer_runtime::pivots::{self, Link};
+use rigidformer_runtime::pivots::{self, Link, Pivot};
+use rigidformer_runtime::pool;
 use rigidformer_runtime::poses::{a_step_before, free_fall, heading};
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
@@ -453,4 +459,81 @@ fn what_unwinds_leaves_the_callers_environment() {
     assert!(nan.is_nan() && third == 1.0 / 3.0 && is_restored);
     // What the inner one raised went with it.
     assert_eq!(raised & 1, 0);
+}
+
+/// A record whose bodies fall into each other and the ground, and a prediction that is elsewhere.
+fn recorded_and_predicted() -> (RecordedScene, Trajectory) {
+    let gap = Isometry3::translation(0.01, 0.003, -0.1);
+    let unit = |number: usize| {
+        let poses = (0..9).map(|frame| (0..frame).fold(start(number), |pose, _| gap * pose));
+        RecordedUnit::new("cube", corners(0.2), RUBBER, poses.collect())
+    };
+    let units = (0..3).map(unit).collect();
+    let gravity = Vector3::new(0.0, 0.0, -9.81);
+    let scene = RecordedScene::new("made", 1, Split::Test, 24.0, gravity, units).unwrap();
+    let scene = scene.with_commands(1, (0..9).map(|frame| 0.1 * frame as f32).collect()).unwrap();
+    let mut predicted = Trajectory::new(0, 3, scene.poses_at(0).unwrap());
+    for frame in [2, 5] {
+        predicted.push(scene.poses_at(frame).unwrap());
+    }
+    (scene, predicted)
+}
+
+/// All metrics, and what they are computed from.
+fn metrics_of(scene: &RecordedScene, predicted: &Trajectory, bits: &mut Bits) {
+    // Frame 4 is none of a sample.
+    let errors = [3, 4, 6].map(|frame| metrics::frame_errors(predicted, scene, frame).unwrap());
+    for FrameErrors { position_m, orientation_rms_deg, orientation_mean_deg } in
+        errors.into_iter().chain([metrics::mean(&errors)])
+    {
+        bits.wide(&[position_m, orientation_rms_deg, orientation_mean_deg]);
+    }
+    bits.pose(&predicted.pose(4, 1).unwrap());
+    bits.pose(&predicted.pose_at(1.3, 2).unwrap());
+    let [a, b] = [1, 2].map(|unit| predicted.pose(3, unit).unwrap());
+    bits.wide(&[metrics::angle_deg(&a, &b), metrics::rigidity(predicted, scene)]);
+    let probe = PenetrationProbe::new(scene);
+    let depths = predicted.iter().map(|(_, poses)| probe.measure(poses));
+    let deepest = depths.reduce(Penetration::max).unwrap();
+    assert!(deepest.ground_m > 0.0 && deepest.units_m > 0.0, "{deepest:?}");
+    bits.wide(&[deepest.ground_m, deepest.units_m]);
+    let [pivot, parent_pivot] = [Point3::new(0.1, 0.2, 0.3), Point3::new(0.1, 0.2, 1e-41)];
+    let pivot = Pivot { unit: 2, parent: 1, pivot, parent_pivot, residual_m: 0.0 };
+    let apart = metrics::apart(predicted, &[pivot], 0, 6);
+    bits.wide(&apart);
+    let Apart { median_m, most_m, max_m } = Apart::of(apart).unwrap();
+    bits.wide(&[median_m, most_m, max_m]);
+    let points = [2, 4].map(|frame| scene.units()[1].points_at(frame).unwrap());
+    bits.numbers(points.iter().flatten().map(|p| p.x).collect::<Vec<_>>().as_slice());
+    bits.wide(&[soft::vertex_error_m(&points[0], &points[1]).unwrap()]);
+    bits.numbers(&scene.command_of_step(1, 4).unwrap());
+    let samples = points.into();
+    let between = PointTrajectory { first_frame: 0, step: 3, samples }.between(1).unwrap();
+    bits.numbers(between.iter().map(|p| p.y).collect::<Vec<_>>().as_slice());
+}
+
+#[test]
+fn metrics_have_the_same_bits_in_every_environment() {
+    let (scene, predicted) = recorded_and_predicted();
+    let run = || {
+        let mut bits = Bits::default();
+        metrics_of(&scene, &predicted, &mut bits);
+        bits.0
+    };
+    let expected = run();
+    for word in environments() {
+        assert_eq!(under(word, run), (expected.clone(), true), "{word:#x}");
+    }
+}
+
+/// They are made by the first call that needs them.
+#[test]
+fn threads_that_share_work_are_made_to_nearest() {
+    let third = || {
+        pool::enter(|| {
+            rayon::broadcast(|_| (control() & !0x3f, std::hint::black_box(1.0_f32) / 3.0))
+        })
+    };
+    let (found, is_restored) = under(0x7f80, third);
+    assert!(is_restored && found.iter().all(|found| *found == (DEFAULT, 1.0 / 3.0)), "{found:x?}");
 }

@@ -20,7 +20,7 @@ use crate::arrays::{self, Floats, POSE, Side};
 use crate::bonds;
 use crate::copies::Copies;
 use crate::errors::{OrRaise, input, memory as too_much, raise, text_of};
-use crate::interrupt::interruptible;
+use crate::interrupt::{held, interruptible};
 use crate::model::Model;
 use crate::pickle::Arguments;
 use crate::scene::Scene;
@@ -226,7 +226,7 @@ impl Start {
         let units = scene.units().iter().map(|unit| Py::new(py, Unit::of(unit)));
         Ok(Start {
             state: None,
-            dt_s: step as f32 / scene.frame_rate_hz(),
+            dt_s: held(|| step as f32 / scene.frame_rate_hz())?,
             units: units.collect::<PyResult<_>>()?,
             previous,
             current,

@@ -1,5 +1,5 @@
 //! Long calls: the interpreter is free meanwhile, and Ctrl-C ends them. A fault of the library is an exception, and work has the
-//! stack that it needs, whatever the caller's thread has.
+//! stack that it needs and rounds to nearest, whatever the caller's thread has.
 
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -8,6 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use pyo3::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::pool;
 
 use crate::errors::{fault, input};
@@ -27,13 +28,14 @@ pub(crate) fn free<R: Send>(py: Python<'_>, work: impl FnOnce() -> R + Send) -> 
     py.detach(|| safe(work)).map_err(|panic| fault(&*panic))
 }
 
-/// Runs `work` with the interpreter held, for what reads arrays in place.
+/// Runs `work` with the interpreter held, for what reads arrays in place or is short.
 pub(crate) fn held<R>(work: impl FnOnce() -> R) -> PyResult<R> {
     safe(work).map_err(|panic| fault(&*panic))
 }
 
-/// With enough stack; its panic, if there is one.
+/// With enough stack and to nearest; its panic, if there is one.
 pub(crate) fn safe<R>(work: impl FnOnce() -> R) -> thread::Result<R> {
+    let work = || in_own_environment(work);
     // What a panic leaves half done is behind locks, which it poisons.
     catch_unwind(AssertUnwindSafe(|| stacker::maybe_grow(STACK_LEFT, STACK, work)))
 }
@@ -73,7 +75,8 @@ pub(crate) fn interruptible<R: Send>(
         let body = move || {
             // Dropped on a panic as well, or the caller would wait for ever.
             let _wake = WakeCaller { ended, caller };
-            taken().map(|work| work(flag))
+            // A thread begins with what the one has set that makes it.
+            in_own_environment(|| taken().map(|work| work(flag)))
         };
         // Python runs handlers of signals on its main thread alone, which must not be busy.
         let worker = thread::Builder::new().name("rigidformer".into()).spawn_scoped(scope, body);

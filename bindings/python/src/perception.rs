@@ -16,7 +16,7 @@ use rigidformer_runtime::pool;
 
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
-use crate::interrupt::with_threads;
+use crate::interrupt::{held, with_threads};
 use crate::locked::Locked;
 use crate::model::Model;
 use crate::unit::{Plane, planes, planes_of};
@@ -63,7 +63,8 @@ impl Camera {
     ) -> PyResult<Self> {
         let pose = pose.map(|pose| arrays::pose(pose, "pose")).transpose()?;
         let pose = pose.unwrap_or_else(Isometry3::identity);
-        let camera = camera::Camera::new([width, height], [fx, fy], [cx, cy], pose);
+        let (size, focal, centre) = ([width, height], [fx, fy], [cx, cy]);
+        let camera = held(|| camera::Camera::new(size, focal, centre, pose))?;
         Ok(Camera { camera: camera.or_raise()? })
     }
 
@@ -74,7 +75,8 @@ impl Camera {
     /// InputError, TypeError
     ///     The pose has a number that is not finite.
     fn moved(&self, pose: &Bound<'_, PyAny>) -> PyResult<Self> {
-        let camera = self.camera.moved(arrays::pose(pose, "pose")?);
+        let pose = arrays::pose(pose, "pose")?;
+        let camera = held(|| self.camera.moved(pose))?;
         Ok(Camera { camera: camera.or_raise()? })
     }
 
@@ -140,7 +142,8 @@ impl DepthView {
         let shape = [height as usize, width as usize];
         let depth = image(depth, "depth", &shape)?;
         let labels = labels.map(|labels| image(labels, "labels", &shape)).transpose()?;
-        let view = capture::DepthView::new(camera.camera, scale_m, depth, labels);
+        let camera = camera.camera;
+        let view = held(|| capture::DepthView::new(camera, scale_m, depth, labels))?;
         Ok(DepthView { view: view.or_raise()? })
     }
 
@@ -350,7 +353,8 @@ impl Tracker {
         options.extents_m = extents_m.into();
         options.first_velocity = first_velocity.into();
         options.seed = seed;
-        Ok(Tracker { tracker: Locked::new(tracker::Tracker::new(options).or_raise()?) })
+        let tracker = held(|| tracker::Tracker::new(options))?.or_raise()?;
+        Ok(Tracker { tracker: Locked::new(tracker) })
     }
 
     /// Takes the next capture: what all sensors saw at one instant. The interpreter is free meanwhile.

@@ -15,7 +15,7 @@ use rigidformer_runtime::futures::{ChangeError, FutureScene};
 use crate::arrays::{self, Floats, POSE};
 use crate::errors::{OrRaise, input, raise};
 use crate::futures::{BatchSimulator, Start};
-use crate::interrupt::interruptible;
+use crate::interrupt::{held, interruptible};
 use crate::whole;
 
 /// One number to choose.
@@ -378,7 +378,8 @@ impl Planner {
             let Parameter { mean, deviation, low, high } = *parameter.get();
             planner::Parameter { mean, deviation, low, high }
         });
-        let planner = planner::Planner::new(settings, &parameters.collect::<Vec<_>>());
+        let parameters: Vec<_> = parameters.collect();
+        let planner = held(|| planner::Planner::new(settings, &parameters))?;
         Ok(Planner { planner: Mutex::new(planner.or_raise()?) })
     }
 
@@ -503,7 +504,8 @@ impl Planner {
         #[pyo3(from_py_with = whole::passed)] passed: usize,
         #[pyo3(from_py_with = whole::a_step)] a_step: usize,
     ) -> PyResult<()> {
-        lock_planner(&self.planner)?.shift(passed, a_step).or_raise()
+        let mut planner = lock_planner(&self.planner)?;
+        held(|| planner.shift(passed, a_step))?.or_raise()
     }
 
     /// The next plan begins with this mean.
@@ -514,7 +516,8 @@ impl Planner {
     ///     It has another size, or is out of bounds.
     fn set_mean(&self, mean: &Bound<'_, PyAny>) -> PyResult<()> {
         let mean = Floats::of(mean, "mean", &[None])?;
-        lock_planner(&self.planner)?.set_mean(mean.slice()?).or_raise()
+        let (mean, mut planner) = (mean.slice()?, lock_planner(&self.planner)?);
+        held(|| planner.set_mean(mean))?.or_raise()
     }
 
     /// The first iteration of the next plan tries these samples, (n, parameters), too.
@@ -526,7 +529,8 @@ impl Planner {
     fn propose(&self, samples: &Bound<'_, PyAny>) -> PyResult<()> {
         let mut planner = lock_planner(&self.planner)?;
         let samples = Floats::of(samples, "samples", &[None, Some(planner.mean().len())])?;
-        planner.propose(samples.slice()?).or_raise()
+        let samples = samples.slice()?;
+        held(|| planner.propose(samples))?.or_raise()
     }
 
     /// float32 (parameters,): the mean that the next plan begins with.

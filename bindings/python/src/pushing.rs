@@ -14,7 +14,7 @@ use rigidformer_planning::planner::{self, Control};
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
 use crate::futures::BatchSimulator;
-use crate::interrupt::interruptible;
+use crate::interrupt::{held, interruptible};
 use crate::pickle::Arguments;
 use crate::planner::{AnyMethod, Plan, deadline, lock_planner, numbers};
 use crate::unit::{Plane, Unit, planes_of, role_name};
@@ -65,7 +65,7 @@ impl PushGoal {
     ) -> PyResult<Self> {
         let place_m = arrays::pair(place_m, "place_m")?;
         let goal = pushing::Goal { place_m, yaw_rad, lever_m, haste_m_s };
-        goal.check().or_raise()?;
+        held(|| goal.check())?.or_raise()?;
         Ok(PushGoal { goal })
     }
 
@@ -109,7 +109,8 @@ impl PushGoal {
     /// InputError, TypeError
     ///     It has another shape or no real numbers.
     fn errors(&self, pose: &Bound<'_, PyAny>) -> PyResult<(f32, f32)> {
-        Ok(self.goal.errors(&arrays::pose(pose, "pose")?))
+        let pose = arrays::pose(pose, "pose")?;
+        held(|| self.goal.errors(&pose))
     }
 
     fn __getnewargs_ex__<'py>(&self, py: Python<'py>) -> PyResult<Arguments<'py>> {
@@ -242,8 +243,9 @@ impl PushPlanner {
             // The planner owns the points, because Python's objects may be gone before it.
             ..Pushing::new(body.get().view().points.to_vec(), radius_m)
         };
+        let planner = held(|| pushing::PushPlanner::new(settings, pushing))?;
         Ok(PushPlanner {
-            planner: Mutex::new(pushing::PushPlanner::new(settings, pushing).or_raise()?),
+            planner: Mutex::new(planner.or_raise()?),
             body,
             pusher,
             step_s: dt_s,
@@ -348,8 +350,8 @@ impl PushPlanner {
         plan: &PushPlan,
         #[pyo3(from_py_with = whole::steps)] steps: usize,
     ) -> PyResult<()> {
-        lock_planner(&self.planner)?.passed(&plan.plan, steps);
-        Ok(())
+        let mut planner = lock_planner(&self.planner)?;
+        held(|| planner.passed(&plan.plan, steps))
     }
 
     /// Forgets what is left of the last plan.

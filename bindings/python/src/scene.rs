@@ -16,7 +16,7 @@ use rigidformer_evaluation::scenes::{
 use crate::arrays::{self, Floats, POSE};
 use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
-use crate::interrupt::free;
+use crate::interrupt::{free, held};
 use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
 use crate::whole;
 
@@ -427,7 +427,7 @@ impl Scene {
         let (name, frames) = (self.scene.name(), self.scene.frames());
         let missing = || input(format!("{name}: has {frames} frames; frame {frame} is needed"));
         let units = self.scene.units().iter().map(|unit| {
-            let points = unit.points_at(frame).ok_or_else(missing)?;
+            let points = held(|| unit.points_at(frame))?.ok_or_else(missing)?;
             arrays::array_of_points(py, &points, &[points.len()])
         });
         units.collect()

@@ -12,7 +12,7 @@ use rigidformer_planning::planner::walking::{self, COMMAND, Goal, WalkSettings};
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
 use crate::futures::{BatchSimulator, Start};
-use crate::interrupt::interruptible;
+use crate::interrupt::{held, interruptible};
 use crate::planner::{AnyMethod, MOST_NUMBERS, Plan, deadline, lock_planner, numbers, within_room};
 use crate::whole;
 
@@ -93,7 +93,7 @@ impl WalkPlanner {
             low: bound(low, "low", usual.low)?,
             high: bound(high, "high", usual.high)?,
         };
-        let planner = walking::WalkPlanner::new(settings).or_raise()?;
+        let planner = held(|| walking::WalkPlanner::new(settings))?.or_raise()?;
         Ok(WalkPlanner { planner: Mutex::new(planner) })
     }
 
@@ -165,7 +165,8 @@ impl WalkPlanner {
         if found > most {
             return Err(input(format!("commands has {found} rows, a plan has {most} commands")));
         }
-        planner.begin_with(commands.slice()?).or_raise()
+        let commands = commands.slice()?;
+        held(|| planner.begin_with(commands))?.or_raise()
     }
 
     /// So many steps of the last plan were carried out: the next plan begins with what is left of it.
@@ -175,8 +176,8 @@ impl WalkPlanner {
     /// InputError
     ///     The planner is planning.
     fn passed(&self, #[pyo3(from_py_with = whole::steps)] steps: usize) -> PyResult<()> {
-        lock_planner(&self.planner)?.passed(steps);
-        Ok(())
+        let mut planner = lock_planner(&self.planner)?;
+        held(|| planner.passed(steps))
     }
 
     /// Forgets the last plan and what ``begin_with`` said, as where the robot was carried elsewhere.

@@ -118,11 +118,11 @@ impl Motion {
     /// have been, in the directions that were observed.
     pub(super) fn propagate_still(&mut self, dt_s: f64, since_s: f64) {
         self.stop(since_s.max(dt_s));
-        for axis in 0..6 {
-            let way = STILL[axis / 3] * dt_s;
-            self.covariance[(axis, axis)] += way * way;
-        }
-        self.symmetrise();
+    }
+
+    /// Adds what may have moved a unit at rest over `dt_s` in which nothing was seen of it.
+    pub(super) fn stay_unseen(&mut self, dt_s: f64) {
+        self.add_pose_noise(STILL[0] * dt_s, STILL[1] * dt_s);
     }
 
     /// Sets the velocity of a unit that has been in its place for `since_s`.

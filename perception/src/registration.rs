@@ -45,6 +45,8 @@ const BOUNDARY_CELLS: f64 = 1.0;
 /// Weight of a point beyond the boundary.
 // Neighbouring points show the same part of the boundary, and are not independent.
 const BOUNDARY_WEIGHT: f64 = 0.1;
+/// Square of a distance, in deviations, from which a sample is off.
+const MAX_SQUARE: f64 = 20.0;
 /// Largest number of correspondences that count as independent.
 // Errors of the surface are the same from capture to capture, so more correspondences add no information.
 const MAX_EFFECTIVE_CORRESPONDENCES: f64 = 150.0;
@@ -56,10 +58,37 @@ pub(super) struct Registered {
     pub(super) delta: Vector6<f64>,
     /// Of the points alone.
     pub(super) information: Matrix6<f64>,
+    /// Directions that only a comparison with the capture before observes.
+    pub(super) compared: Compared,
     /// Share of points with a correspondence.
     pub(super) share: f64,
     /// Root mean square of the residuals, in their expected deviations.
     pub(super) residual: f64,
+}
+
+/// Directions of the pose in which the surface matches itself. Outlines tell there how far a unit went since the capture before. Where it
+/// was then stays as uncertain as it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Compared {
+    /// Projects on them, where rotations are times the lever.
+    directions: Matrix6<f64>,
+    lever_m: f64,
+}
+
+impl Compared {
+    /// What a covariance of the pose lacks of that of the capture before, in these directions.
+    pub(super) fn lacks(&self, now: &Matrix6<f64>, before: &Matrix6<f64>) -> Matrix6<f64> {
+        let scale =
+            |lever: f64| Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, lever, lever, lever));
+        let there = self.directions * scale(self.lever_m);
+        let eigen = (there * (before - now) * there.transpose()).symmetric_eigen();
+        let mut lack = Matrix6::zeros();
+        for (value, axis) in eigen.eigenvalues.iter().zip(eigen.eigenvectors.column_iter()) {
+            lack += axis * axis.transpose() * value.max(0.0);
+        }
+        let back = scale(1.0 / self.lever_m);
+        back * lack * back
+    }
 }
 
 /// A point and a surfel, linearised at a pose.
@@ -171,7 +200,8 @@ pub(super) fn register(
         if let Some(centroid) = centroid {
             centroid.add_to(&mut boundary, &mean, &at);
         }
-        let Equations { h, b } = observable_part(&all.times(confidence), &boundary, 0.5 * lever);
+        let (Equations { h, b }, compared) =
+            observable_part(&all.times(confidence), &boundary, (0.5 * lever).max(1e-6));
         let change = (h + prior_information).cholesky()?.solve(&(b - prior_information * delta));
         // Rotations are linearised, which holds up to about .3 rad: larger steps are shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
@@ -183,6 +213,7 @@ pub(super) fn register(
         last = Some(Registered {
             delta,
             information: h,
+            compared,
             share: kept / samples.len() as f64,
             residual,
         });
@@ -198,10 +229,28 @@ pub(super) fn register(
     last
 }
 
+/// How badly samples fit the surface at a pose: the mean square of their distances in expected deviations. Those that are off count as
+/// [`MAX_SQUARE`].
+pub(super) fn misfit(
+    surface: &Surface,
+    centre: &Point3<f32>,
+    samples: &[Sample],
+    at: &Motion,
+) -> f64 {
+    let mut correspondences = Vec::with_capacity(samples.len());
+    let gate = Gate { extra_m: 0.0, scale: 1.0 };
+    find_correspondences(surface, centre, samples, at, &gate, &mut correspondences);
+    let on = correspondences.iter().filter(|one| !one.is_boundary);
+    let squares: Vec<f64> =
+        on.map(|one| (one.distance * one.distance * one.weight).min(MAX_SQUARE)).collect();
+    let off = samples.len().saturating_sub(squares.len()) as f64;
+    (squares.iter().sum::<f64>() + MAX_SQUARE * off) / samples.len().max(1) as f64
+}
+
 /// Removes unobservable directions from the normal equations, and takes the boundary's there: a flat side may slide. Errors of normals
 /// make a slide look slightly observable. Rotations times a lever have the same scale as translations, so that eigenvalues compare.
-fn observable_part(all: &Equations, boundary: &Equations, lever: f64) -> Equations {
-    let turn = 1.0 / lever.max(1e-6);
+fn observable_part(all: &Equations, boundary: &Equations, lever: f64) -> (Equations, Compared) {
+    let turn = 1.0 / lever;
     let scale = Matrix6::from_diagonal(&Vector6::new(1.0, 1.0, 1.0, turn, turn, turn));
     let scaled = scale * all.h * scale;
     let least = MIN_OBSERVABLE_SHARE * scaled.fixed_view::<3, 3>(0, 0).trace();
@@ -217,7 +266,8 @@ fn observable_part(all: &Equations, boundary: &Equations, lever: f64) -> Equatio
     let h = kept * scaled * kept + rest * scale * boundary.h * scale * rest;
     let h = back * h * back;
     let b = back * (kept * (scale * all.b) + rest * (scale * boundary.b));
-    Equations { h: (h + h.transpose()) * 0.5, b }
+    let compared = Compared { directions: rest, lever_m: lever };
+    (Equations { h: (h + h.transpose()) * 0.5, b }, compared)
 }
 
 /// The prior with its pose changed by `delta`.
@@ -420,6 +470,32 @@ mod tests {
         let prior = Motion::at_rest(Vector3::zeros(), PRIOR);
         let found = register(&surface, &Point3::origin(), &slid, Some(&centroid), &prior).unwrap();
         assert!((found.delta[0] - 0.015).abs() < 0.003, "{}", found.delta);
+    }
+
+    #[test]
+    fn where_only_outlines_tell_a_place_is_as_uncertain_as_before() {
+        let mut noise = Noise::new(1, 1);
+        let flat: Vec<Sample> =
+            sides(&mut noise, 2000, 0.0005).into_iter().filter(|s| s.normal.z > 0.5).collect();
+        let mut surface = Surface::new(0.14);
+        surface.add(0, flat.iter().map(|s| (s.point, s.normal, s.deviation_m)));
+        let sum: Vector3<f64> = flat.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
+        let from_centre = sum / flat.len() as f64;
+        let centroid = CentroidPrior { from_centre, deviation_m: 0.003 };
+        let mut motion = Motion::at_rest(Vector3::zeros(), PRIOR);
+        let before = motion.pose_covariance();
+        let found = register(&surface, &Point3::origin(), &flat, Some(&centroid), &motion).unwrap();
+        motion.correct(&found.delta, &found.information).unwrap();
+        let now = motion.pose_covariance();
+        assert!(now[(0, 0)].sqrt() < 0.005, "{}", now[(0, 0)].sqrt());
+        let all = now + found.compared.lacks(&now, &before);
+        // Along the side it is where it was taken to be; off the side it is measured.
+        for (axis, most) in [(0, 0.022), (1, 0.022), (2, 0.001)] {
+            let sd = all[(axis, axis)].sqrt();
+            assert!((axis == 2 || sd > 0.018) && sd < most, "{axis} {sd}");
+        }
+        // What is more uncertain than before lacks nothing.
+        assert!(found.compared.lacks(&(before * 2.0), &before).norm() < 1e-9);
     }
 
     #[test]

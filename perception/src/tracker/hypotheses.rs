@@ -1,12 +1,13 @@
 //! Predictions of a unit that exclude each other: it stays, it moves as the model says, or it flies freely. Captures tell which.
 
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Vector3;
 
+use super::errors::Errors;
 use super::rest::{Anchor, Seeing};
 use super::unit::TrackedUnit;
 use crate::forecast::PredictedUnit;
 use crate::motion::{Candidate, Motion, ProcessNoise};
-use crate::registration::{CentroidPrior, Registered, moved, register};
+use crate::registration::{CentroidPrior, Registered, misfit, moved, register};
 use crate::sampling::Sample;
 
 /// Samples that registration needs.
@@ -50,7 +51,7 @@ impl TrackedUnit {
             (still.clone(), anchor)
         });
         let still = Candidate::still(still);
-        let mut free = self.motion.clone();
+        let mut free = self.moving().0.clone();
         free.propagate_freely(dt_s, &gravity_m_s2.cast(), process_noise);
         let mut all = Vec::with_capacity(3);
         if let Some(moved) = model {
@@ -79,6 +80,14 @@ impl TrackedUnit {
         self.velocity_lag_m_s2 = first.velocity_lag_m_s2;
         self.predicted_still = first.is_still;
         self.others = all;
+    }
+
+    /// Its motion if it moves: that which the last capture suspects, or its own.
+    pub(super) fn moving(&self) -> (&Motion, Vector3<f32>) {
+        match &self.suspect {
+            Some(suspect) => (&suspect.moving.motion, suspect.moving.velocity_lag_m_s2),
+            None => (&self.motion, self.velocity_lag_m_s2),
+        }
     }
 
     fn candidate(&self) -> Candidate {
@@ -166,13 +175,25 @@ pub(super) fn leave_rest(
     unit.motion.widen_for_impact(&off, dt_s.max(1e-3));
 }
 
+/// Where a capture shows a unit.
+pub(super) struct Found {
+    /// The likeliest prediction; of a unit at rest the likeliest one that it moves.
+    pub(super) prior: Candidate,
+    /// Relative to that.
+    pub(super) registered: Registered,
+    /// The pose that was measured.
+    pub(super) at: Motion,
+    /// (a unit at rest) How badly its samples fit the place where it rests, over how badly they fit where they were found.
+    pub(super) misfit_at_rest: f64,
+}
+
 /// Registers a unit with its samples, from its prediction and from the matched cluster's centroid.
 pub(super) fn register_unit(
     unit: &TrackedUnit,
     own: &[Sample],
     is_unobstructed: bool,
     shift_m: f64,
-) -> Option<(Candidate, Registered)> {
+) -> Option<Found> {
     if own.len() < MIN_REGISTERED_SAMPLES {
         return None;
     }
@@ -196,13 +217,20 @@ pub(super) fn register_unit(
     }
     let mut found = registered(unit, &start, own, centroid.as_ref())?;
     if shift_m > 0.0 {
-        found.information = with_shift(&found.information, shift_m);
+        let shift = Errors { position_m: shift_m, turn_rad: 0.0 };
+        found.information = shift.widen(&found.information);
     }
     // A predicted contact may not happen, because hidden sides are completed by assumption. Another prediction replaces it where it is
     // likelier.
-    let mut most = prior.motion.likelihood(&found.delta, &found.information);
     let at = moved(&start, &found.delta);
-    for other in &unit.others {
+    let place = unit.place_at_rest();
+    // Whether it still rests is decided by other means.
+    let is_told = |candidate: &Candidate| place.is_some() && candidate.is_still;
+    let mut most = match is_told(&prior) {
+        true => f64::NEG_INFINITY,
+        false => prior.motion.likelihood(&found.delta, &found.information),
+    };
+    for other in unit.others.iter().filter(|other| !is_told(other)) {
         let delta = other.motion.difference_to(&at);
         let likelihood = other.motion.likelihood(&delta, &found.information);
         if likelihood > most {
@@ -210,19 +238,9 @@ pub(super) fn register_unit(
             (prior, found) = (other.clone(), Registered { delta, ..found });
         }
     }
-    Some((prior, found))
-}
-
-/// The information of a pose whose sensor is off by this much besides, in any direction.
-fn with_shift(information: &Matrix6<f64>, shift_m: f64) -> Matrix6<f64> {
-    let mut shift = Matrix6::zeros();
-    for axis in 0..3 {
-        shift[(axis, axis)] = shift_m * shift_m;
-    }
-    // Of (I^-1 + D)^-1, which needs no inverse of an information that is singular.
-    let wide = (Matrix6::identity() + information * shift).try_inverse();
-    let information = wide.map_or(*information, |wide| wide * information);
-    (information + information.transpose()) * 0.5
+    let misfit_of = |motion: &Motion| misfit(&unit.surface, &unit.centre, own, motion);
+    let misfit_at_rest = place.map_or(0.0, |place| misfit_of(place) / misfit_of(&at).max(1e-3));
+    Some(Found { prior, registered: found, at, misfit_at_rest })
 }
 
 /// A registration that starts at a prediction.

@@ -37,6 +37,7 @@
 //! ```
 
 mod association;
+mod errors;
 mod fit;
 mod hypotheses;
 mod options;
@@ -63,14 +64,13 @@ use super::depth_noise::DepthNoise;
 use super::estimate::{Estimate, Rest, UnitEstimate, Visibility};
 use super::forecast::{Forecaster, MovingUnit};
 use super::known::KnownObject;
-use super::motion::{Candidate, ProcessNoise};
+use super::motion::{Motion, ProcessNoise};
 use super::planes::{Measurement, Planes};
-use super::registration::Registered;
 use super::sampling::{Bounds, Sample, Sampler, bytes_to_sample};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
-use hypotheses::{leave_rest, prefer, register_unit};
+use hypotheses::{Found, leave_rest, prefer, register_unit};
 use rest::Seeing;
 use unit::{Known, TrackedUnit};
 
@@ -359,10 +359,12 @@ impl Tracker {
             let steps = (dt_s / MAX_STEP_S).ceil().clamp(1.0, MAX_STEPS as f64) as usize;
             let step_s = (dt_s / steps as f64) as f32;
             let with: Vec<usize> = (0..self.units.len())
-                .filter(|at| as_moving(&self.units[*at], &self.options).is_some())
+                .filter(|at| as_suspected(&self.units[*at], &self.options).is_some())
                 .collect();
-            let moving: Vec<MovingUnit<'_>> =
-                with.iter().filter_map(|at| as_moving(&self.units[*at], &self.options)).collect();
+            let moving: Vec<MovingUnit<'_>> = with
+                .iter()
+                .filter_map(|at| as_suspected(&self.units[*at], &self.options))
+                .collect();
             match forecaster.steps(&moving, self.planes.all(), &gravity, step_s, steps) {
                 Ok(all) => all.into_iter().last().map(|moved| (with, moved)),
                 Err(error) => {
@@ -553,7 +555,7 @@ impl Tracker {
                 leave_rest(unit, own, dt_s, seeing(false));
             }
         }
-        let found: Vec<Option<(Candidate, Registered)>> = self
+        let found: Vec<Option<Found>> = self
             .units
             .par_iter()
             .zip(&own)
@@ -580,17 +582,20 @@ impl Tracker {
             in_own_environment(|| {
                 unit.centroid_shift = None;
                 unit.others.clear();
-                let is_found = found.is_some_and(|(prior, found)| {
-                    unit.correct(prior, &found, dt_s, seeing(is_occluded))
-                });
+                let is_found =
+                    found.is_some_and(|found| unit.correct(found, dt_s, seeing(is_occluded)));
                 if !is_found {
-                    unit.stay_unseen();
+                    unit.stay_unseen(dt_s);
                     let pose = unit.pose();
                     unit.visibility = visibility::visibility(&unit.surface, &pose, &capture.views);
                     match unit.visibility {
                         Visibility::Hidden => unit.hidden_s += dt_s,
                         _ => unit.missed = unit.missed.saturating_add(1),
                     }
+                    return Vec::new();
+                }
+                // Where it is now is not known: its samples would lie beside its surface.
+                if unit.suspect.is_some() {
                     return Vec::new();
                 }
                 let foreign_here = unit.foreign_clusters(&own, &view_of);
@@ -750,8 +755,23 @@ impl Tracker {
 
 /// A unit as the forecaster takes it; none without four points.
 fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<MovingUnit<'u>> {
+    let state = (&unit.motion, unit.velocity_lag_m_s2);
+    as_in(unit, state, unit.rest == Rest::Held, options)
+}
+
+/// The same of a unit that left its place if it may have.
+fn as_suspected<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<MovingUnit<'u>> {
+    as_in(unit, unit.moving(), unit.rest == Rest::Held && unit.suspect.is_none(), options)
+}
+
+fn as_in<'u>(
+    unit: &'u TrackedUnit,
+    (motion, velocity_lag_m_s2): (&Motion, Vector3<f32>),
+    is_held: bool,
+    options: &TrackerOptions,
+) -> Option<MovingUnit<'u>> {
     let shape = unit.shape.as_ref().filter(|shape| shape.points.len() >= 4)?;
-    let velocity = unit.motion.velocity();
+    let velocity = motion.velocity();
     let object = unit.known.as_ref().map(|known| &known.object);
     let frame = unit.model_frame();
     Some(MovingUnit {
@@ -759,12 +779,12 @@ fn as_moving<'u>(unit: &'u TrackedUnit, options: &TrackerOptions) -> Option<Movi
         pieces: object.map_or(Pieces::NONE, |object| object.pieces()),
         physics: physics_of(unit, options)?,
         inertia_kg_m2: object.map(|object| object.moments_kg_m2()),
-        pose: unit.pose() * frame,
+        pose: motion.pose(&unit.centre) * frame,
         linear: velocity.fixed_rows::<3>(0).into_owned(),
         angular: velocity.fixed_rows::<3>(3).into_owned(),
         centre: frame.inverse() * unit.centre,
-        velocity_lag_m_s2: unit.velocity_lag_m_s2,
-        is_held: unit.rest == Rest::Held,
+        velocity_lag_m_s2,
+        is_held,
     })
 }
 

@@ -1,13 +1,21 @@
 //! Rest: a hypothesis that is held until motion is measured.
 
-use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Vector3, Vector6};
 
-use crate::motion::Motion;
+use super::errors::{Errors, SHARED_ERROR_M, shared_m};
+use crate::motion::{Candidate, Motion};
 use crate::sampling::Sample;
 
-/// Errors of poses that neighbouring pixels and captures share, beside the covariance: metres, and radii.
-const SHARED_ERROR_M: f64 = 1.5e-3;
-const SHARED_ERROR_RADII: f64 = 1e-2;
+/// Square of a displacement in its deviations beyond which a unit that rests may have left its place.
+// Of errors as large as expected, one in a thousand is.
+const LEFT_SQUARE: f64 = 22.0;
+/// Share of the shared errors that is a deviation of theirs there.
+const LEFT_SHARE: f64 = 0.25;
+/// How much worse samples fit the place where a unit rests than where it was found, if it left.
+// Where both fit, other pixels were taken to be its own, or a side slid along itself.
+const MIN_MISFIT: f64 = 1.25;
+/// Least cosine between the displacements of two captures that agree.
+const AGREEING: f64 = 0.5;
 /// Deviations that a displacement exceeds where it is motion.
 const MOTION_DEVIATIONS: f64 = 3.0;
 /// Deviation of a rotation from which it is unknown, radians.
@@ -37,6 +45,25 @@ pub(super) struct Seeing {
     pub(super) shift_m: f64,
 }
 
+/// The motion of a unit that rested, if the last capture is right. One capture is not enough: segments flicker.
+#[derive(Clone, Debug)]
+pub(super) struct Suspect {
+    pub(super) moving: Candidate,
+    /// Its displacement.
+    pub(super) off: Vector6<f64>,
+}
+
+/// What a capture says of a unit that rested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    Rests,
+    /// It left its place if the next capture agrees.
+    Suspected,
+    /// It rests, and the sensor drifts.
+    Drifts,
+    Moves,
+}
+
 /// Where a unit rests, or last was when its displacement was motion.
 #[derive(Clone, Debug)]
 pub(super) struct Anchor {
@@ -51,6 +78,8 @@ pub(super) struct Anchor {
     moved: bool,
     /// The centroid of the samples that showed all of it first, and how many they were.
     outline: Option<(Vector3<f64>, usize)>,
+    /// How far the last capture shows it to have slid, beyond the limit.
+    slid: Option<Vector3<f64>>,
 }
 
 impl Anchor {
@@ -63,7 +92,45 @@ impl Anchor {
             holds: true,
             moved: false,
             outline: None,
+            slid: None,
         }
+    }
+
+    /// Decides whether a unit that rests left its place, by the displacement that was measured and its information.
+    pub(super) fn judge(
+        &mut self,
+        (off, information): (&Vector6<f64>, &Matrix6<f64>),
+        misfit_at_rest: f64,
+        suspect: Option<&Suspect>,
+        radius_m: f64,
+        Seeing { now_s, shift_m, .. }: Seeing,
+    ) -> Verdict {
+        // Of a unit that was seen once, nothing says that it ever rested.
+        let is_new = self.captures == 0 && !self.moved;
+        self.captures = self.captures.saturating_add(1);
+        let limit_m = shared_m(radius_m, shift_m);
+        let lengths = |off: &Vector6<f64>| {
+            let turn = off.fixed_rows::<3>(3) * radius_m;
+            Vector6::from_iterator(off.fixed_rows::<3>(0).iter().chain(turn.iter()).copied())
+        };
+        let errors = Errors::new(LEFT_SHARE * limit_m, radius_m);
+        let left = errors.square(off, information) > LEFT_SQUARE && lengths(off).norm() > limit_m;
+        if !left || misfit_at_rest < MIN_MISFIT {
+            return Verdict::Rests;
+        }
+        let agrees = suspect.is_some_and(|suspect| {
+            let (before, now) = (lengths(&suspect.off), lengths(off));
+            before.dot(&now) > AGREEING * before.norm() * now.norm()
+        });
+        if !agrees && !is_new {
+            return Verdict::Suspected;
+        }
+        // Sensors drift as they warm: the unit stays where it is seen.
+        if lengths(off).norm() < DRIFT_M_S * self.since_s(now_s) {
+            return Verdict::Drifts;
+        }
+        self.end(now_s);
+        Verdict::Moves
     }
 
     /// Decides with one more pose that was measured.
@@ -76,7 +143,7 @@ impl Anchor {
     ) {
         let (off_m, since_s) = (self.off_m(motion, centre, radius_m), now_s - self.time_s);
         let (position, turn) = motion.pose_deviation();
-        let shared = SHARED_ERROR_M + SHARED_ERROR_RADII * radius_m + shift_m;
+        let shared = shared_m(radius_m, shift_m);
         let limit_m = shared + MOTION_DEVIATIONS * position.hypot(turn * radius_m).min(shared);
         if off_m <= limit_m {
             self.captures = self.captures.saturating_add(1);
@@ -100,8 +167,15 @@ impl Anchor {
             return false;
         };
         let ratio = own.len() as f64 / count.max(1) as f64;
-        let limit_m = SHARED_ERROR_M + SLIDE_RADII * radius_m + shift_m;
-        (SAME_OUTLINE[0]..SAME_OUTLINE[1]).contains(&ratio) && (mean - first).norm() > limit_m
+        // Neighbouring samples share most of their noise, so that their mean has about that of one.
+        let noise = own.iter().map(|sample| f64::from(sample.deviation_m)).sum::<f64>();
+        let noise_m = MOTION_DEVIATIONS * noise / own.len().max(1) as f64;
+        let limit_m = SHARED_ERROR_M + SLIDE_RADII * radius_m + shift_m + noise_m;
+        let off = mean - first;
+        let is_off = (SAME_OUTLINE[0]..SAME_OUTLINE[1]).contains(&ratio) && off.norm() > limit_m;
+        let before = std::mem::replace(&mut self.slid, is_off.then_some(off));
+        is_off
+            && before.is_some_and(|before| before.dot(&off) > AGREEING * before.norm() * off.norm())
     }
 
     /// Ends a rest. It begins again no sooner than after [`REST_S`].
@@ -110,7 +184,7 @@ impl Anchor {
         self.captures = 0;
         self.time_s = now_s;
         self.moved = true;
-        self.outline = None;
+        (self.outline, self.slid) = (None, None);
     }
 
     /// Displacement of the centre, and of the surface by the rotation, metres.

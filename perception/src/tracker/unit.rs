@@ -2,11 +2,13 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use rigidformer_core::Plane;
 
+use super::errors::Errors;
+use super::hypotheses::Found;
 use super::options::TrackerOptions;
-use super::rest::{Anchor, Seeing};
+use super::rest::{Anchor, Seeing, Suspect, Verdict};
 use crate::estimate::{Rest, UnitEstimate, Visibility};
 use crate::known::KnownObject;
 use crate::motion::{Candidate, Deviations, Motion};
@@ -76,6 +78,14 @@ pub(super) struct TrackedUnit {
     /// Where it rests if this capture does not show it.
     pub(super) unseen: Option<(Motion, Anchor)>,
     pub(super) rest: Rest,
+    /// What it does if it left its place in the last capture.
+    pub(super) suspect: Option<Suspect>,
+    /// What captures of it share.
+    errors: Errors,
+    /// Variance of where it was before, in directions in which captures are only compared with each other.
+    drift: Matrix6<f64>,
+    /// Covariance of its pose in the last capture that shows it, with the drift.
+    last_covariance: Matrix6<f64>,
     /// Distance of a matched cluster's centroid from the predicted one, in this capture.
     pub(super) centroid_shift: Option<Vector3<f64>>,
     /// Centroid of its samples in the last capture that shows it, relative to its centre.
@@ -100,6 +110,7 @@ impl TrackedUnit {
         let [position_m, turn_rad] = FIRST_DEVIATIONS;
         let first = Deviations { position_m, turn_rad, linear_m_s, angular_rad_s };
         let motion = Motion::at_rest(middle.coords.cast(), first);
+        let last_covariance = motion.pose_covariance();
         let surface = Surface::new((high - low).norm());
         let anchor = Anchor::new(&motion, &Point3::origin(), time_s);
         let mut unit = TrackedUnit {
@@ -119,6 +130,10 @@ impl TrackedUnit {
             anchor,
             unseen: None,
             rest: Rest::Moving,
+            suspect: None,
+            errors: Errors::shared(f64::from(0.5 * (high - low).norm()), 0.0),
+            drift: Matrix6::zeros(),
+            last_covariance,
             centroid_shift: None,
             visible_centroid: Vector3::zeros(),
             visible_samples: 0,
@@ -152,45 +167,105 @@ impl TrackedUnit {
         (is_same && deviation_m > 0.0).then_some(CentroidPrior { from_centre, deviation_m })
     }
 
+    /// Where it rests, if it is believed to.
+    pub(super) fn place_at_rest(&self) -> Option<&Motion> {
+        self.unseen.as_ref().filter(|_| self.anchor.holds).map(|(place, _)| place)
+    }
+
     /// Updates the filter with a registration from a prediction. Whether that was possible.
-    pub(super) fn correct(
+    pub(super) fn correct(&mut self, found: Found, dt_s: f64, seeing: Seeing) -> bool {
+        let radius_m = f64::from(self.radius_m());
+        let errors = Errors::shared(radius_m, seeing.shift_m);
+        let place = self.place_at_rest().cloned();
+        let suspect = self.suspect.take();
+        let Found { prior, registered, at, misfit_at_rest } = found;
+        let compared = registered.compared;
+        let is_done = match place {
+            None => self.follow(prior, &registered, errors, dt_s, seeing),
+            Some(mut place) => {
+                let off = place.difference_to(&at);
+                let measured = (&off, &registered.information);
+                let suspect = suspect.as_ref();
+                match self.anchor.judge(measured, misfit_at_rest, suspect, radius_m, seeing) {
+                    Verdict::Rests => self.average(place, measured, errors, dt_s, seeing),
+                    Verdict::Suspected => {
+                        self.suspect = corrected(prior, &registered, dt_s)
+                            .map(|moving| Suspect { moving, off });
+                        self.motion = place;
+                        self.velocity_lag_m_s2 = Vector3::zeros();
+                        self.suspect.is_some()
+                    }
+                    Verdict::Drifts => {
+                        place.add_pose_noise(off.norm(), errors.turn_rad);
+                        let is_done = self.average(place, measured, errors, dt_s, seeing);
+                        self.anchor = Anchor::new(&self.motion, &self.centre, seeing.now_s);
+                        is_done
+                    }
+                    Verdict::Moves => self.follow(prior, &registered, errors, dt_s, seeing),
+                }
+            }
+        };
+        if is_done {
+            self.errors = errors;
+            let now = self.moving().0.pose_covariance();
+            self.drift = compared.lacks(&now, &self.last_covariance);
+            self.last_covariance = now + self.drift;
+            self.seen = self.seen.saturating_add(1);
+            (self.missed, self.hidden_s, self.visibility) = (0, 0.0, Visibility::Seen);
+        }
+        is_done
+    }
+
+    /// At rest what is measured are errors: the place is their mean.
+    fn average(
         &mut self,
-        prior: Candidate,
-        found: &Registered,
+        mut place: Motion,
+        (off, information): (&Vector6<f64>, &Matrix6<f64>),
+        errors: Errors,
         dt_s: f64,
         seeing: Seeing,
     ) -> bool {
-        let Candidate { mut motion, velocity_lag_m_s2, is_still } = prior;
-        let surprise = match is_still {
-            true => motion.surprise(&found.delta, &found.information),
-            false => motion.normalised_innovation(&found.delta),
-        };
-        if surprise.is_some_and(|squared| squared > MAX_NORMALISED_INNOVATION) {
-            motion.widen_for_impact(&found.delta, dt_s.max(1e-3));
-        }
-        let delta = match is_still {
-            true => motion.posterior(&found.delta, &found.information),
-            false => Some(found.delta),
-        };
-        if delta.and_then(|delta| motion.correct(&delta, &found.information)).is_none() {
+        let information = errors.widen(information);
+        let delta = place.posterior(off, &information);
+        if delta.and_then(|delta| place.correct(&delta, &information)).is_none() {
             return false;
         }
+        place.stop(self.anchor.since_s(seeing.now_s).max(dt_s));
+        self.motion = place;
+        self.velocity_lag_m_s2 = Vector3::zeros();
+        true
+    }
+
+    /// Updates the motion of a unit that is not known to rest.
+    fn follow(
+        &mut self,
+        prior: Candidate,
+        found: &Registered,
+        errors: Errors,
+        dt_s: f64,
+        seeing: Seeing,
+    ) -> bool {
+        let Some(Candidate { mut motion, velocity_lag_m_s2, .. }) = corrected(prior, found, dt_s)
+        else {
+            return false;
+        };
         self.velocity_lag_m_s2 = velocity_lag_m_s2;
-        let radius_m = f64::from(self.radius_m());
-        self.anchor.see(&motion, &self.centre, radius_m, seeing);
+        self.anchor.see(&motion, &self.centre, f64::from(self.radius_m()), seeing);
         if self.anchor.holds {
             motion.stop(self.anchor.since_s(seeing.now_s).max(dt_s));
+            // From here on the place is a mean, which begins with this pose.
+            motion.add_pose_noise(errors.position_m, errors.turn_rad);
             self.velocity_lag_m_s2 = Vector3::zeros();
         }
         self.motion = motion;
-        self.seen = self.seen.saturating_add(1);
-        (self.missed, self.hidden_s, self.visibility) = (0, 0.0, Visibility::Seen);
         true
     }
 
     /// A capture that does not show it says nothing against its rest.
-    pub(super) fn stay_unseen(&mut self) {
-        if let Some((motion, anchor)) = self.unseen.take() {
+    pub(super) fn stay_unseen(&mut self, dt_s: f64) {
+        self.suspect = None;
+        if let Some((mut motion, anchor)) = self.unseen.take() {
+            motion.stay_unseen(dt_s);
             (self.motion, self.anchor) = (motion, anchor);
             self.velocity_lag_m_s2 = Vector3::zeros();
             self.predicted_still = true;
@@ -327,6 +402,9 @@ impl TrackedUnit {
         };
         let lever = pose.rotation * (shape.centre - self.centre);
         self.motion.move_centre(&lever.cast());
+        if let Some(suspect) = &mut self.suspect {
+            suspect.moving.motion.move_centre(&lever.cast());
+        }
         self.visible_centroid -= lever.cast::<f64>();
         self.centre = shape.centre;
         self.shape = Some(shape);
@@ -334,6 +412,8 @@ impl TrackedUnit {
 
     /// From here on it is an object, which is at `place` in its frame.
     pub(super) fn become_known(&mut self, known: Known, place: &Isometry3<f32>) {
+        // Its displacement is about another centre from here on.
+        self.suspect = None;
         let object = &known.object;
         let centre = object.centre();
         let lever = self.pose() * (place * centre) - self.pose() * self.centre;
@@ -370,11 +450,16 @@ impl TrackedUnit {
 
     /// Its estimate, once it is confirmed.
     pub(super) fn estimate(&self) -> Option<UnitEstimate> {
-        let [covariance, velocity_covariance] = self.motion.covariances();
+        let [_, velocity_covariance] = self.motion.covariances();
+        let mut covariance = self.motion.pose_covariance() + self.errors.covariance() + self.drift;
+        // It may be where the last capture shows it.
+        if let Some(suspect) = &self.suspect {
+            covariance += suspect.off * suspect.off.transpose();
+        }
         Some(UnitEstimate {
             id: self.id?,
             pose: self.pose(),
-            covariance,
+            covariance: covariance.cast(),
             velocity: self.motion.velocity(),
             velocity_covariance,
             points: self.surface.points().clone(),
@@ -382,6 +467,24 @@ impl TrackedUnit {
             rest: self.rest,
         })
     }
+}
+
+/// A prediction that a registration corrects. None where that is not possible.
+fn corrected(prior: Candidate, found: &Registered, dt_s: f64) -> Option<Candidate> {
+    let Candidate { mut motion, velocity_lag_m_s2, is_still } = prior;
+    let surprise = match is_still {
+        true => motion.surprise(&found.delta, &found.information),
+        false => motion.normalised_innovation(&found.delta),
+    };
+    if surprise.is_some_and(|squared| squared > MAX_NORMALISED_INNOVATION) {
+        motion.widen_for_impact(&found.delta, dt_s.max(1e-3));
+    }
+    let delta = match is_still {
+        true => motion.posterior(&found.delta, &found.information)?,
+        false => found.delta,
+    };
+    motion.correct(&delta, &found.information)?;
+    Some(Candidate { motion, velocity_lag_m_s2, is_still })
 }
 
 /// Axis-aligned bounds of samples.

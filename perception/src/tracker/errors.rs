@@ -56,9 +56,10 @@ mod tests {
 
     #[test]
     fn widening_adds_variances_and_leaves_unknown_what_is_unknown() {
-        let errors = Errors::shared(0.1, 0.0);
-        let near = |a: f64, b: f64| (a - b).abs() < 1e-12;
-        assert!(near(errors.position_m, 1.25e-3) && near(errors.turn_rad, 0.0125));
+        // Division by a power of two is exact.
+        let errors = Errors::shared(0.125, 0.0);
+        assert_eq!(errors.position_m, 0.5 * (1.5e-3 + 1e-2 * 0.125));
+        assert_eq!(errors.turn_rad, 8.0 * errors.position_m);
         let seen = Vector6::new(1e-3, 1e-4, 0.0, 0.02, 0.0, 1e-3);
         let information = seen.map(|sd: f64| if sd > 0.0 { sd.powi(-2) } else { 0.0 });
         let wide = errors.widen(&Matrix6::from_diagonal(&information));
@@ -69,6 +70,7 @@ mod tests {
         }
         let off = Vector6::new(errors.position_m, 0.0, 1.0, 0.0, 1.0, 0.0);
         let square = errors.square(&off, &Matrix6::from_diagonal(&information));
-        assert!((0.5..1.0).contains(&square), "{square}");
+        let expected = errors.position_m.powi(2) / (1e-6 + errors.position_m.powi(2));
+        assert!((square - expected).abs() <= 1e-9 * expected, "{square}");
     }
 }

@@ -187,6 +187,11 @@ impl Anchor {
         (self.outline, self.slid) = (None, None);
     }
 
+    /// Rests where it is now. That it rested before counts.
+    pub(super) fn rest_at(&mut self, motion: &Motion, centre: &Point3<f32>, now_s: f64) {
+        *self = Anchor { moved: true, ..Anchor::new(motion, centre, now_s) };
+    }
+
     /// Displacement of the centre, and of the surface by the rotation, metres.
     fn off_m(&self, motion: &Motion, centre: &Point3<f32>, radius_m: f64) -> f64 {
         let from = self.place * centre.cast::<f64>();

@@ -196,9 +196,10 @@ impl TrackedUnit {
                         self.suspect.is_some()
                     }
                     Verdict::Drifts => {
-                        place.add_pose_noise(off.norm(), errors.turn_rad);
+                        let way = [0, 3].map(|at| off.fixed_rows::<3>(at).norm());
+                        place.add_pose_noise(way[0], way[1]);
                         let is_done = self.average(place, measured, errors, dt_s, seeing);
-                        self.anchor = Anchor::new(&self.motion, &self.centre, seeing.now_s);
+                        self.anchor.rest_at(&self.motion, &self.centre, seeing.now_s);
                         is_done
                     }
                     Verdict::Moves => self.follow(prior, &registered, errors, dt_s, seeing),

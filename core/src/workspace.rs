@@ -1,9 +1,12 @@
 //! Every buffer, named and carved once from the caller's slab. There is room for all units; rows are those that the network sees in a step (`present`).
 
-use crate::geometry::STATE;
+use crate::geometry::{POSE, STATE};
 use crate::limits::ANCHORS;
 use crate::quant::Scratch;
 use crate::sizes::Sizes;
+
+/// Numbers of where a step began for a unit: its state and its target.
+pub(crate) const START: usize = STATE + POSE;
 
 macro_rules! buffers {
     (
@@ -145,7 +148,7 @@ buffers! { |s|
         /// (copies, units of a copy): motion by impulses, then what that was worked out in; behind all, room for bonds.
         solved = [s.units, s.solved];
         /// (units, [`STATE`] and target) of a step in substeps, where it began.
-        start = [s.substepped, s.units, crate::simulator::START];
+        start = [s.substepped, s.units, START];
         /// State and scratch of soft bodies.
         soft = [s.soft];
         /// (copies, 3) of a step in substeps: active and degenerate units so far, one more than the unit that failed or 0.

@@ -47,6 +47,5 @@ pub use health::{Excess, Health, HealthReport, InnovationError};
 pub use observe::{Observation, Observed, Posed};
 pub use report::StepReport;
 pub use state::Simulator;
-pub(crate) use substeps::START;
 pub use units::UnitView;
 pub use velocity::Velocity;

@@ -4,19 +4,15 @@ use super::measure::Time;
 use super::report::StepReport;
 use super::state::Simulator;
 use crate::error::{ObserveError, StepError};
-use crate::geometry::{
-    Course, POSE, Pose, STATE, State, read_pose, turn_between, turned_by, write_pose,
-};
+use crate::geometry::{Course, Pose, STATE, State, read_pose, turn_between, turned_by, write_pose};
 use crate::scene::{Retimed, Role, Scene, UnitSlot};
 use crate::slices::{rows, rows_mut, slice_at, slice_at_mut};
 use crate::structure::heading::is_robot;
+use crate::workspace::START;
 use nalgebra::Vector3;
 
 /// Numbers of an outcome.
 const OUTCOME: usize = 3;
-
-/// Numbers of where a step began for a unit: its state and its target.
-pub(crate) const START: usize = STATE + POSE;
 
 impl Scene<'_> {
     /// The course of a unit that goes from one pose to another in a step.

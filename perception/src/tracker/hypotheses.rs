@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::errors::Errors;
 use super::rest::{Anchor, Seeing};
-use super::unit::TrackedUnit;
+use super::unit::{Found, TrackedUnit};
 use crate::forecast::PredictedUnit;
 use crate::motion::{Candidate, Motion, ProcessNoise};
 use crate::registration::{CentroidPrior, Registered, misfit, moved, register};
@@ -173,18 +173,6 @@ pub(super) fn leave_rest(
     let mut off = nalgebra::Vector6::zeros();
     off.fixed_rows_mut::<3>(0).fill(0.1 * radius_m);
     unit.motion.widen_for_impact(&off, dt_s.max(1e-3));
-}
-
-/// Where a capture shows a unit.
-pub(super) struct Found {
-    /// The likeliest prediction; of a unit at rest the likeliest one that it moves.
-    pub(super) prior: Candidate,
-    /// Relative to that.
-    pub(super) registered: Registered,
-    /// The pose that was measured.
-    pub(super) at: Motion,
-    /// (a unit at rest) How badly its samples fit the place where it rests, over how badly they fit where they were found.
-    pub(super) misfit_at_rest: f64,
 }
 
 /// Registers a unit with its samples, from its prediction and from the matched cluster's centroid.

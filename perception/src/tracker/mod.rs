@@ -70,9 +70,9 @@ use super::sampling::{Bounds, Sample, Sampler, bytes_to_sample};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
-use hypotheses::{Found, leave_rest, prefer, register_unit};
+use hypotheses::{leave_rest, prefer, register_unit};
 use rest::Seeing;
-use unit::{Known, TrackedUnit};
+use unit::{Found, Known, TrackedUnit};
 
 pub use super::forecast::ForecastError;
 pub use super::sampling::Segmentation;

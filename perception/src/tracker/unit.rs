@@ -6,7 +6,6 @@ use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3, Vector6};
 use rigidformer_core::Plane;
 
 use super::errors::Errors;
-use super::hypotheses::Found;
 use super::options::TrackerOptions;
 use super::rest::{Anchor, Seeing, Suspect, Verdict};
 use crate::estimate::{Rest, UnitEstimate, Visibility};
@@ -49,6 +48,18 @@ pub(super) struct Known {
     /// Its place in the options.
     pub(super) number: usize,
     pub(super) object: KnownObject,
+}
+
+/// Where a capture shows a unit.
+pub(super) struct Found {
+    /// The likeliest prediction; of a unit at rest the likeliest one that it moves.
+    pub(super) prior: Candidate,
+    /// Relative to that.
+    pub(super) registered: Registered,
+    /// The pose that was measured.
+    pub(super) at: Motion,
+    /// (a unit at rest) How badly its samples fit the place where it rests, over how badly they fit where they were found.
+    pub(super) misfit_at_rest: f64,
 }
 
 pub(super) struct TrackedUnit {

@@ -1,6 +1,5 @@
 //! The world that the solver works in, and units as it moves them.
 
-use super::PRIOR;
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -63,6 +62,8 @@ const FIXED: f32 = 3.0;
 /// Times that what is awake wakes what it can touch. A longer chain wakes all: a bound on time.
 #[cfg(rigidformer_host)]
 const WAKES: usize = 8;
+/// Numbers that [`solve`](super::solve) tells of a unit: its next state, and how much the network corrects.
+pub(crate) const PRIOR: usize = STATE + 1;
 /// Numbers of a unit in the scratch. Its velocity, its spin and how far it has moved are in its row of the result, which is
 /// written when they are of no more use: memory is dear.
 pub(super) const BODY: usize = POSE + MARKS + SHIFT;

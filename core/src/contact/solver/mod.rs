@@ -14,10 +14,11 @@ mod patch;
 #[cfg(test)]
 mod tests;
 
-use crate::geometry::{STATE, State, squared};
+use crate::geometry::{State, squared};
 use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
+pub(crate) use bodies::PRIOR;
 use bodies::{Bodies, FAR, Touched, World};
 use contacts::Contacts;
 #[cfg(rigidformer_host)]
@@ -31,8 +32,6 @@ pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT +
 /// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, and threads
 /// share one.
 pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
-/// Numbers that [`solve`] tells of a unit: its next state, and how much the network corrects.
-pub(crate) const PRIOR: usize = STATE + 1;
 
 const _: () = assert!(SCRATCH <= 465, "every unit of every copy pays for the solver's scratch");
 

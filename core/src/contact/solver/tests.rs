@@ -5,8 +5,8 @@ use crate::contact::ground::Plane;
 use crate::contact::impacts::inertia;
 use crate::contact::pieces::Pieces;
 use crate::geometry::{
-    Hull, Pose, Precision, extreme_points, norm, product, read_pose, separation, turn_between,
-    turned,
+    Hull, Pose, Precision, STATE, extreme_points, norm, product, read_pose, separation,
+    turn_between, turned,
 };
 use crate::kernels::{Portable, Serial};
 use crate::measure::Measure;

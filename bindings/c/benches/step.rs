@@ -3,7 +3,7 @@
 //!
 //! ```sh
 //! cargo bench -p rigidformer-capi
-//! cargo bench -p rigidformer-capi -- --python target/python/venv/bin/python    # after `cargo xtask python`
+//! cargo bench -p rigidformer-capi --bench step -- --python target/python/venv/bin/python    # after `cargo xtask python`
 //! ```
 // Handles live here, and arrays are as long as they say.
 #![allow(unsafe_code, clippy::undocumented_unsafe_blocks)]
@@ -218,7 +218,7 @@ impl Python {
         questions.flush().unwrap();
         let mut answer = String::new();
         self.answers.read_line(&mut answer).unwrap();
-        answer.trim().parse().unwrap()
+        answer.trim().parse().expect("a time; is rigidformer installed for that Python?")
     }
 }
 

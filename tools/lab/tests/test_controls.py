@@ -5,6 +5,7 @@ Needs NumPy, SciPy, safetensors, tqdm and PyAV, and no PyTorch.
 
 import importlib.util
 import json
+import functools
 import os
 import shlex
 import signal
@@ -305,7 +306,9 @@ def test_mistakes_of_predictions(fails, monkeypatch):
 def test_ctrl_c_leaves_no_file(folder):
     command = [sys.executable, "-m", "rigidformer_lab.controls", "--recorded", "--frames", "50000", "--png", "png", "--rendered", "r.mp4"]
     path = os.pathsep.join(filter(None, (str(ROOT / "tools/lab"), os.environ.get("PYTHONPATH"))))
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path})
+    # Where the tests run in the background, the shell ignores Ctrl-C for all that they start.
+    heed = functools.partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}, preexec_fn=heed)
     start = time.monotonic()
     while len(os.listdir()) < 3 or not any(os.listdir(name) for name in os.listdir() if os.path.isdir(name)):
         assert time.monotonic() < start + 120 and running.poll() is None, "it does not begin"

@@ -49,6 +49,8 @@ pub(crate) fn release(report: &mut Report) -> Result<()> {
     let mut build = place.python();
     build.args(["-m", "maturin", "build", "--release", "--locked", "--zig"]);
     build.args(["--compatibility", "manylinux2014", "--manifest-path", MANIFEST, "--out"]);
+    // zig is a package of the environment, and not of the `python3` of PATH, which maturin asks first.
+    build.env("CARGO_ZIGBUILD_PYTHON_PATH", place.venv.join("bin/python"));
     shown(build.arg(&out).env("CARGO_TARGET_DIR", place.folder.join("build-release")))?;
     let mut files = fs::read_dir(&out)?.filter_map(|entry| Some(entry.ok()?.path()));
     let wheel = files.find(|path| path.extension().is_some_and(|end| end == "whl"));

@@ -251,17 +251,11 @@ pub(crate) struct Retimed {
     pub(crate) share: f32,
     /// What gravity adds in half a substep, before and from now on, metres.
     pub(crate) halves: [Vector3<f32>; 2],
-    /// The way in the last substep of what was given without motion over a step, before and from now on, metres.
-    pub(crate) leads: [Vector3<f32>; 2],
 }
 
 impl Retimed {
-    /// The way of what falls, metres. What was put somewhere without motion stays so.
+    /// The way of what falls, metres.
     pub(crate) fn way(&self, way: &Vector3<f32>) -> Vector3<f32> {
-        let [before, now] = self.leads;
-        if *way == before {
-            return now;
-        }
         let [before, now] = self.halves;
         (way + before) * self.share - now
     }

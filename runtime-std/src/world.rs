@@ -47,6 +47,17 @@ pub struct World {
     /// Of a scene, that there is room for.
     copies: usize,
     cell: Cell,
+    /// Of the last step.
+    stepped: Vec<Stepped>,
+}
+
+/// What a step did to a unit.
+#[derive(Clone, Copy)]
+struct Stepped {
+    id: UnitId,
+    before: Isometry3<f32>,
+    after: Isometry3<f32>,
+    velocity: Velocity,
 }
 
 /// The whole state of a world at some time ([`World::snapshot`]): bytes that may be kept in a file, and taken from one, since
@@ -152,7 +163,7 @@ impl World {
                 Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
             })
         })?;
-        Ok(World { engine, copies, cell })
+        Ok(World { engine, copies, cell, stepped: Vec::new() })
     }
 
     /// Bytes that a world within these limits takes, beside the model.
@@ -177,6 +188,7 @@ impl World {
         let mut other =
             World::on(self.engine, self.model(), self.simulator().limits(), self.copies)?;
         other.restore(&self.snapshot())?;
+        other.stepped.clone_from(&self.stepped);
         Ok(other)
     }
 
@@ -284,8 +296,27 @@ impl World {
 
     fn run(&mut self, trace: Option<&mut (dyn Trace + Send)>) -> Result<StepReport, StepError> {
         let engine = self.engine;
+        let before: Vec<_> = self.states().map(|(id, pose, _)| (id, pose)).collect();
         let step = Step { world: self, trace };
-        engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))
+        let report = engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))?;
+        let mut stepped = core::mem::take(&mut self.stepped);
+        stepped.clear();
+        let after = before.into_iter().zip(self.states());
+        stepped.extend(after.map(|((id, before), (_, after, velocity))| Stepped {
+            id,
+            before,
+            after,
+            velocity,
+        }));
+        self.stepped = stepped;
+        Ok(report)
+    }
+
+    /// Where the units of the first copy are and how they move.
+    fn states(&self) -> impl Iterator<Item = (UnitId, Isometry3<f32>, Velocity)> {
+        let simulator = self.simulator();
+        let units = simulator.units().zip(simulator.velocities());
+        units.map(|(unit, velocity)| (unit.id(), unit.pose(), velocity))
     }
 
     /// Advances every copy by one step and calls `report` for each, in order ([`Simulator::step_copies`]).
@@ -325,7 +356,7 @@ impl World {
         self.edit(|simulator| simulator.set_gravity(gravity_m_s2))
     }
 
-    /// Adds a unit at rest. [`Simulator::add`] adds one that moves.
+    /// Adds a unit at rest: its velocity is 0. [`Simulator::add`] adds one that moves.
     ///
     /// # Errors
     /// [`EditError`]; the scene is what it was.
@@ -385,6 +416,36 @@ impl World {
     /// Pose of a unit: carries its reference points to the world.
     pub fn pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
         in_own_environment(|| self.simulator().pose(id))
+    }
+
+    /// Where a unit was before the last step. Of one that was put somewhere or given a velocity since, where its motion says
+    /// that it was, as if it had flown ([`UnitView::previous_pose`](rigidformer_core::UnitView::previous_pose)).
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3};
+    /// # use rigidformer_runtime::core::{Limits, Physics, Unit};
+    /// # use rigidformer_runtime::models::LoadedModel;
+    /// # use rigidformer_runtime::world::World;
+    /// # let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// # let mut world = World::new(&model, Limits { units: 8, points: 512 })?;
+    /// # world.set_dt(1.0 / 24.0)?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
+    /// # let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let rubber = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
+    /// let cube = world.add(&Unit::new(&corners, rubber), &Isometry3::translation(0.0, 0.0, 1.0))?;
+    /// world.step()?;
+    /// assert_eq!(world.previous_pose(cube), Some(Isometry3::translation(0.0, 0.0, 1.0)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn previous_pose(&self, id: UnitId) -> Option<Isometry3<f32>> {
+        let unit = self.simulator().get(id)?;
+        let is_it = |stepped: &&Stepped| {
+            // Also where it was put back by the bits.
+            stepped.id == id
+                && Some(stepped.after) == self.pose(id)
+                && Some(stepped.velocity) == self.velocity(id)
+        };
+        Some(self.stepped.iter().find(is_it).map_or_else(|| unit.previous_pose(), |s| s.before))
     }
 }
 

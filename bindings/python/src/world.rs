@@ -1123,8 +1123,8 @@ impl World {
         arrays::rows(py, units, &[simulator.len(), POSE], out)
     }
 
-    /// Where a unit counts as having been a step ago: float32 (7,). What lies still counts as having risen from there against
-    /// gravity; ``velocity`` says how a unit moves now.
+    /// Where a unit was before the last step: float32 (7,). Of one that was put somewhere or given a velocity since, where its
+    /// motion says that it was, as if it had flown. ``velocity`` says how a unit moves now.
     ///
     /// Raises
     /// ------
@@ -1136,8 +1136,8 @@ impl World {
         #[pyo3(from_py_with = whole::id)] id: u64,
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let world = self.lock(py)?;
-        let unit = world.simulator().get(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
-        arrays::array_of_poses(py, [&unit.previous_pose()], &[])
+        let pose = world.previous_pose(UnitId::from_bits(id)).ok_or_else(|| no_such(id))?;
+        arrays::array_of_poses(py, [&pose], &[])
     }
 
     /// Where a unit's points are: float32 (n, 3), metres, in the world, in the simulator's own order (farthest points first).

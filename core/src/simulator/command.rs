@@ -16,8 +16,8 @@ use nalgebra::{Isometry3, Vector3};
 pub(super) const MAX_GRAVITY_M_S2: f32 = 1e4;
 
 impl Simulator<'_, '_> {
-    /// Adds a unit behind the others, given its poses a step ago and now (the same for a unit at rest). The other units
-    /// go on as if nothing had happened to them. Models that measure scenes in their own length take that of the first unit,
+    /// Adds a unit behind the others, given its poses a step ago and now; the same twice for a unit at rest, whose velocity is 0
+    /// now, not in the mean of the step. The other units go on as if nothing had happened to them. Models that measure scenes in their own length take that of the first unit,
     /// and once more that of the first free one (docs/MODEL.md, section 1).
     ///
     /// # Errors
@@ -148,8 +148,8 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Changes where a unit was a step ago and is now, in the first copy of the scene; the first frame, which the
-    /// inputs' offsets count from, stays the observed one. A driven unit forgets its target and stays. A unit in
+    /// Changes where a unit was a step ago and is now, in the first copy of the scene; the same pose twice is rest. The first frame,
+    /// which the inputs' offsets count from, stays the observed one. A driven unit forgets its target and stays. A unit in
     /// quarantine is free again.
     ///
     /// # Errors
@@ -196,7 +196,7 @@ impl Simulator<'_, '_> {
         let measure = self.scene.measure;
         let pose = |isometry| measure.inward_isometry(isometry, &offset);
         let (previous, current) = (pose(previous), pose(current));
-        let course = self.scene.course_between(role, &previous, &current);
+        let course = self.course_between(role, &previous, &current);
         let (unit, _) = self.slot(copy, id)?;
         (unit.current, unit.course, unit.target) = (current, course, current);
         unit.set_quarantine(Quarantine::None, role);
@@ -262,14 +262,26 @@ impl Simulator<'_, '_> {
         if role != Role::Free && self.get(id).is_some_and(|unit| unit.is_soft()) {
             return Err(EditError::Deforms);
         }
+        in_own_environment(|| self.set_role_here(id, role));
+        self.forget_still();
+        Ok(())
+    }
+
+    fn set_role_here(&mut self, id: UnitId, role: Role) {
         let changed = |unit: &&mut UnitSlot| unit.id == id && unit.given_role() != role;
+        let half_fall = self.half_fall();
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
+            // A free unit's way is that of the middle of a substep, others' have no gravity in them: the velocity lasts.
+            let (was_free, is_free) = (unit.given_role() == Role::Free, role == Role::Free);
+            if was_free != is_free {
+                let way =
+                    if is_free { unit.course.way - half_fall } else { unit.course.way + half_fall };
+                unit.course = unit.course.moving(way, unit.course.turn());
+            }
             unit.role = role;
             unit.target = unit.current;
             unit.set_quarantine(Quarantine::None, role);
         }
-        self.forget_still();
-        Ok(())
     }
 
     /// Changes the planes that the scene stands on or between; none is allowed.

@@ -352,7 +352,7 @@ impl Simulator<'_, '_> {
         let id = UnitId::from_bits(self.next_id);
         let points = self.scene.points.get(start..start + count).unwrap_or_default();
         let measure = self.scene.measure;
-        let course = self.scene.course_between(unit.role, &first, &current);
+        let course = self.course_between(unit.role, &first, &current);
         let Some(slot) = self.scene.slots.get_mut(number) else { return id };
         self.next_id = self.next_id.wrapping_add(1);
         let mut reach = radius_here(points);

@@ -15,14 +15,6 @@ use nalgebra::Vector3;
 const OUTCOME: usize = 3;
 
 impl Scene<'_> {
-    /// The course of a unit that goes from one pose to another in a step.
-    pub(super) fn course_between(&self, role: Role, before: &Pose, now: &Pose) -> Course {
-        let share = 1.0 / self.substeps() as f32;
-        let way = (now.centre - before.centre) * share;
-        let turn = turn_between(&before.rotation, &now.rotation) * share;
-        Course::REST.moving(way + self.lead(role), turn)
-    }
-
     /// Where a unit would have been a step ago, as its motion in the last substep says.
     pub(super) fn step_ago(&self, unit: &UnitSlot) -> State {
         let substeps = self.substeps() as f32;
@@ -42,6 +34,27 @@ impl Scene<'_> {
 }
 
 impl Simulator<'_, '_> {
+    /// The course of a unit that goes from one pose to another in a step. The same pose twice is rest: no velocity now, not
+    /// none in the mean of the step.
+    pub(super) fn course_between(&self, role: Role, before: &Pose, now: &Pose) -> Course {
+        let share = 1.0 / self.scene.substeps() as f32;
+        let turn = turn_between(&before.rotation, &now.rotation) * share;
+        let way = match role {
+            Role::Free if before == now => -self.half_fall(),
+            _ => (now.centre - before.centre) * share + self.scene.lead(role),
+        };
+        Course::REST.moving(way, turn)
+    }
+
+    /// What gravity changes of a free unit's way from the middle of a substep to its end, metres.
+    pub(super) fn half_fall(&self) -> Vector3<f32> {
+        match is_robot(self.model.config()) {
+            // What a robot's gravity does is the network's to say.
+            true => Vector3::zeros(),
+            false => self.scene.fall() * 0.5,
+        }
+    }
+
     /// Makes the motion of all units that of another step or substep, under another
     /// gravity, at the velocities that they have now: `set_time` and `set_measure` come next.
     pub(super) fn retime(
@@ -57,13 +70,10 @@ impl Simulator<'_, '_> {
         let share = (time.given_s / time.substeps as f32) / (before.0 / before.1 as f32);
         // A way tells the velocity of the middle of a substep; from there to now gravity adds half of a fall.
         let halves = match is_robot(self.model.config()) {
-            // What a robot's gravity does is the network's to say.
             true => [Vector3::zeros(); 2],
-            false => [self.scene.fall() * 0.5, gravity * (0.5 * time.dt_s * time.dt_s)],
+            false => [self.half_fall(), gravity * (0.5 * time.dt_s * time.dt_s)],
         };
-        let substeps = 0.5 * time.substeps.saturating_sub(1) as f32;
-        let new_lead = gravity * (time.dt_s * time.dt_s) * substeps;
-        let motion = Retimed { share, halves, leads: [self.scene.gravity_lead_m(), new_lead] };
+        let motion = Retimed { share, halves };
         let measure = self.scene.measure;
         // All are tried before any is changed.
         for changes in [false, true] {

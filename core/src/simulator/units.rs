@@ -50,7 +50,8 @@ impl<'a> UnitView<'a> {
         })
     }
 
-    /// As [`pose`](Self::pose), a step earlier. Where steps are taken in substeps it follows from the motion in the last substep.
+    /// As [`pose`](Self::pose), a step earlier, if it has flown as its motion in the last substep says: with `pose` it is that
+    /// motion to [`set_poses`](Simulator::set_poses). What lies still counts as having risen against gravity.
     pub fn previous_pose(&self) -> Isometry3<f32> {
         in_own_environment(|| {
             self.measure().outward_isometry(&self.scene.step_ago(self.unit), &self.unit.offset)

@@ -23,8 +23,8 @@ pub struct Velocity {
 }
 
 impl Simulator<'_, '_> {
-    /// How a unit moves now, in the first copy: a free one, at the end of its last step, in which gravity has acted to the end; before the
-    /// first step it counts as falling. A driven one, as in the last step; a fixed one not at all. A soft one, as the mean of its
+    /// How a unit moves now, in the first copy: a free one, at the end of its last step, in which gravity has acted to the end, also
+    /// where two poses told its motion. A driven one, as in the last step; a fixed one not at all. A soft one, as the mean of its
     /// points, without a turn. In models of robots, where gravity is an input alone, the mean of the last step.
     ///
     /// ```

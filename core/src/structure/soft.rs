@@ -345,7 +345,9 @@ pub(crate) fn retime(scene: &mut Scene<'_>, motion: &Retimed, changes: bool) -> 
         };
         for row in unit.start..unit.start + unit.count {
             let soft = &mut scene.soft;
-            let (way, current) = (motion.way(&soft.increment(row)), soft.current(row));
+            let (way, current) = (soft.increment(row), soft.current(row));
+            // What was put somewhere without motion stays so.
+            let way = if way == Vector3::zeros() { way } else { motion.way(&way) };
             if !(current - way).iter().all(|v| v.abs() <= MAX_COORDINATE_M) {
                 return None;
             }

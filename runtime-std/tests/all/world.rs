@@ -710,3 +710,29 @@ fn large_files_are_read_whole() {
     let error = LoadedModel::open(&path).err().unwrap().to_string();
     assert!(error.contains("model.rfm"), "{error}");
 }
+
+/// Where a unit was before the last step, also where contact changed its motion; where nothing says so, its motion does.
+#[test]
+fn a_previous_pose_is_where_a_unit_was_before_the_step() {
+    let points = lump(8);
+    let mut world = world(&edge(), 3, 24);
+    let places = [at(0.0, 0.0, 0.1), at(1.0, 0.0, 0.6), at(2.0, 0.0, 0.1)];
+    let ids = places.map(|pose| world.add(&Unit::new(&points, RUBBER), &pose).unwrap());
+    world.set_velocity(ids[2], &Vector3::new(1.0, 0.0, 0.0), &Vector3::zeros()).unwrap();
+    // It rests, it falls and bounces, it slides.
+    for step in 0..20 {
+        let before = ids.map(|id| world.pose(id));
+        world.step().unwrap();
+        assert_eq!(ids.map(|id| world.previous_pose(id)), before, "step {step}");
+    }
+    let copy = world.try_clone().unwrap();
+    assert_eq!(ids.map(|id| copy.previous_pose(id)), ids.map(|id| world.previous_pose(id)));
+    let other = world.previous_pose(ids[0]);
+    let (there, here) = (at(1.0, 1.0, 2.0), at(1.0, 1.1, 2.0));
+    world.edit(|simulator| simulator.set_poses(ids[1], &there, &here)).unwrap();
+    let told = world.previous_pose(ids[1]).unwrap();
+    assert!((told.translation.vector - there.translation.vector).norm() < 1e-6, "{told}");
+    assert_eq!(world.previous_pose(ids[0]), other);
+    world.remove(ids[0]).unwrap();
+    assert_eq!(world.previous_pose(ids[0]), None);
+}

@@ -2,7 +2,7 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{Physics, Plane, Simulator, Unit, UnitId, Velocity};
+use rigidformer_core::{Physics, Plane, Posed, Role, Simulator, Unit, UnitId, Velocity};
 use rigidformer_tests::with_simulator;
 
 /// Exact at a million metres too.
@@ -266,4 +266,84 @@ fn snapshots_of_any_scene_are_read_again() {
         simulator.snapshot(&mut state).unwrap();
         simulator.restore(&state).unwrap();
     });
+}
+
+/// Who gives a pose twice, or lets go of what stands still, means rest: it falls as from rest, whatever the step.
+#[test]
+fn what_begins_at_rest_falls_from_rest() {
+    type Begin = fn(&mut Simulator<'_, '_>, &Unit<'_>, &Isometry3<f32>, f32);
+    let begins: [(&str, Begin); 5] = [
+        ("added", |simulator, unit, pose, _| {
+            simulator.add(unit, pose, pose).unwrap();
+        }),
+        ("observed", |simulator, unit, pose, dt_s| {
+            let posed = Posed { unit: *unit, previous: *pose, current: *pose };
+            simulator.observe_poses(dt_s, [posed]).unwrap();
+        }),
+        ("put back", |simulator, unit, pose, _| {
+            let id = simulator.add(unit, &Isometry3::translation(1.0, 0.0, 9.0), pose).unwrap();
+            simulator.set_poses(id, pose, pose).unwrap();
+        }),
+        ("let go by what drives it", |simulator, unit, pose, _| {
+            let id = simulator.add(&unit.role(Role::Driven), pose, pose).unwrap();
+            simulator.step().unwrap();
+            simulator.set_role(id, Role::Free).unwrap();
+        }),
+        ("fixed before", |simulator, unit, pose, _| {
+            let id = simulator.add(&unit.role(Role::Fixed), pose, pose).unwrap();
+            simulator.step().unwrap();
+            simulator.set_role(id, Role::Free).unwrap();
+        }),
+    ];
+    for (how, begin) in begins {
+        for dt_s in [1e-4, 1e-3, 1.0 / 240.0, 1.0 / 24.0, 0.1] {
+            with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+                simulator.set_dt(dt_s).unwrap();
+                simulator.set_gravity(Vector3::new(0.0, 0.0, -G)).unwrap();
+                let (points, pose) = (cube(), Isometry3::translation(3.0, 2.0, 16.0));
+                begin(simulator, &Unit::new(&points, WOOD), &pose, dt_s);
+                let id = simulator.unit(0).unwrap().id();
+                assert!(simulator.velocity(id).unwrap().linear_m_s.norm() < 1e-7, "{how}");
+                let began = centre(simulator, id);
+                let time = run(simulator, 0.4, 1000);
+                let exact = -f64::from(G) * time * time / 2.0;
+                let error = (centre(simulator, id).z - began.z) / exact - 1.0;
+                // Centres have digits down to 1e-9 m.
+                assert!(error.abs() < 1e-6, "{how}, {dt_s}: {error}");
+            });
+        }
+    }
+}
+
+/// What is let go of flies on as fast as it was led, and what is taken hold of keeps its velocity.
+#[test]
+fn velocities_last_where_the_role_changes() {
+    with_cube((0.01, 0.0), (16.0, 0.5), |simulator, id| {
+        for role in [Role::Driven, Role::Free] {
+            let before = simulator.velocity(id).unwrap().linear_m_s;
+            simulator.set_role(id, role).unwrap();
+            let after = simulator.velocity(id).unwrap().linear_m_s;
+            assert!((after - before).norm() < 1e-6, "{role:?}: {before} {after}");
+        }
+    });
+}
+
+/// What begins in the ground comes out of it, and carries what stands on it.
+#[test]
+fn what_begins_in_the_ground_comes_out_and_rests() {
+    for deep_m in [0.0, 0.0005, 0.005, 0.02] {
+        with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+            simulator.set_dt(1.0 / 48.0).unwrap();
+            let ids = [HALF_M - deep_m, 3.0 * HALF_M - deep_m + 0.01].map(|z| {
+                let pose = Isometry3::translation(0.0, 0.0, z);
+                simulator.add(&Unit::new(&cube(), WOOD), &pose, &pose).unwrap()
+            });
+            run(simulator, 1.0, 48);
+            let rest = ids.map(|id| centre(simulator, id));
+            let off = [rest[0].z - f64::from(HALF_M), rest[1].z - f64::from(3.0 * HALF_M)];
+            assert!(off.iter().all(|off| off.abs() < 1e-3), "{deep_m}: {off:?}");
+            run(simulator, 1.0, 48);
+            assert_eq!(ids.map(|id| centre(simulator, id)), rest, "{deep_m}");
+        });
+    }
 }

@@ -253,7 +253,8 @@ fn scenes_unlike_training_are_told_before_the_first_step() {
 #[test]
 fn a_hole_is_told_by_the_innovation_before_the_error_is_a_tenth_of_the_size() {
     const RADIUS_M: f32 = 0.5;
-    let (whole, start) = (ball(RADIUS_M), at(0.0, 0.0, 0.8));
+    // The impact falls early in a step: at its end the whole ball is farthest from where the dome goes.
+    let (whole, start) = (ball(RADIUS_M), at(0.0, 0.0, 0.806));
     let upper: Vec<_> = whole.iter().copied().filter(|point| point.z > 0.0).collect();
     // 2 mm and half a degree.
     let (place, turn) = (0.002_f32 * 0.002, 0.009_f32 * 0.009);
@@ -369,7 +370,9 @@ fn driven_and_fixed_units_have_health_too() {
         let speed = |simulator: &Simulator<'_, '_>, id| {
             simulator.quantities(id).unwrap()[Quantity::Speed as usize]
         };
-        assert_eq!(ids.iter().map(|id| speed(simulator, *id)).sum::<f32>(), 0.0);
+        // In a falling frame what rests rises: by half a step's fall from the middle of the step.
+        assert!((0.2..0.3).contains(&speed(simulator, ids[0])));
+        assert!(ids.iter().skip(1).all(|id| speed(simulator, *id) == 0.0));
         simulator.drive(ids[1], &at(2.0, 4.0, 1.0)).unwrap();
         assert!(speed(simulator, ids[1]) > 30.0);
         assert!(simulator.health(ids[1]).unwrap().is_outside(Quantity::Speed));

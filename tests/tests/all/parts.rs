@@ -295,7 +295,7 @@ fn a_step_that_fails_in_a_part_is_undone() {
     assert_eq!(after[..half], before[..half]);
     assert_ne!(after[half..], before[half..]);
     let fallen = simulator.unit(ids.len()).unwrap().pose().translation.z - 50_000.0;
-    assert!((fallen - G * dt * dt).abs() < 0.1, "{fallen}");
+    assert!((fallen - G * dt * dt / 2.0).abs() < 0.1, "{fallen}");
 }
 
 /// Copies of a scene go where it goes, bit for bit.

@@ -23,8 +23,8 @@ const STILL: f32 = 1.05;
 /// What moved slower between the two observed frames lay still, in gravity x dt. Sensors and rounding make rest look like
 /// slow motion.
 const HELD: f32 = 0.1;
-/// What touches something held and is slower at both ends of a step rests, in gravity x dt: its pose then stays to the
-/// bit.
+/// What touches something held, is slower at both ends of a step and stays within its skin rests, in gravity x dt: its pose then
+/// stays to the bit.
 const REST: f32 = 0.02;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;

@@ -14,7 +14,7 @@ mod patch;
 #[cfg(test)]
 mod tests;
 
-use crate::geometry::{State, squared};
+use crate::geometry::{State, norm, squared};
 use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
@@ -211,7 +211,11 @@ fn outcome(
         return (unit.free(&scene.fall()), 0.0);
     }
     let (rest, speed) = (world.rest(unit), mover.speed(unit.radius));
-    if marks.level < FAR && marks.speed < rest && speed < rest {
+    if marks.level < FAR
+        && marks.speed < rest
+        && speed < rest
+        && stays(world, bodies, (number, unit))
+    {
         return (world.lying(unit), -1.0);
     }
     let share = world.share(unit, &mover, None);
@@ -233,12 +237,20 @@ fn outcome_together(
     let arm = bodies.pose(number).centre - cluster.centre;
     let touched = marks.touched != Touched::Never;
     let (rest, speed) = (world.rest(unit), mover.speed(cluster.radius));
-    if touched && marks.level < FAR && marks.speed < rest && speed < rest {
+    let is_slow = marks.speed < rest && speed < rest;
+    if touched && marks.level < FAR && is_slow && stays(world, bodies, (number, unit)) {
         return (world.lying(unit), -1.0);
     }
     let share = if touched { world.share(unit, &mover, Some(&arm)) } else { 0.0 };
     cut(&mut mover, scene.dt);
     (moved(world, bodies, (number, unit), &mover.at(&arm)), share)
+}
+
+/// Whether a slow unit is where it was. What is pushed out of something else is slow too, and goes.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+fn stays(world: &World<'_>, bodies: &Bodies<'_>, (number, unit): (usize, &UnitSlot)) -> bool {
+    let [way, turn] = bodies.moved(number);
+    norm(&way) + norm(&turn) * unit.radius <= world.skin(unit.radius)
 }
 
 /// Where the solver has taken a unit that moves so at the end.
@@ -265,7 +277,7 @@ fn moved(
 
 /// Cuts a spin beyond [`MOST_TURN`] a step.
 fn cut(mover: &mut bodies::Mover, dt: f32) {
-    let turn = crate::geometry::norm(&mover.spin) * dt;
+    let turn = norm(&mover.spin) * dt;
     if turn > MOST_TURN {
         mover.spin *= MOST_TURN / turn;
     }

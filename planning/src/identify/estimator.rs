@@ -89,7 +89,8 @@ pub struct Identified {
     pub windows: usize,
     /// Median over windows of the reduced chi-squared, at least 1: how well the model fits.
     pub misfit: f64,
-    /// Whether the rounds ended before the intervals settled. They hold, and are wider than the motion allows.
+    /// Whether the rounds ended before the intervals settled. They hold, and are wider than the motion allows. Mass ratios of
+    /// units whose intervals have not settled are not told.
     pub unfinished: bool,
 }
 
@@ -612,9 +613,10 @@ impl Estimator {
         let mut before: Vec<(f64, f64)> = even()
             .flat_map(|a| even().map(move |b| (middle + scale * (logit(a) - logit(b)), 1.0)))
             .collect();
-        let ratio = match self.misfit > MOST_MISFIT_OF_RATIOS {
-            true => Interval::NotSeen,
-            false => Interval::of(&mut values, &mut before).map(f64::exp),
+        // A cloud that has not settled about one meeting may be about another motion.
+        let ratio = match group.settled && self.misfit <= MOST_MISFIT_OF_RATIOS {
+            true => Interval::of(&mut values, &mut before).map(f64::exp),
+            false => Interval::NotSeen,
         };
         Some(MassRatio { units: [one, other], ratio })
     }

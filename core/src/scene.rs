@@ -687,11 +687,6 @@ impl Scene<'_> {
         self.substeps
     }
 
-    /// What the last substep of a step is ahead of the whole step's mean velocity by gravity, as a way, metres.
-    pub(crate) fn gravity_lead_m(&self) -> Vector3<f32> {
-        self.fall() * (0.5 * (self.substeps().saturating_sub(1)) as f32)
-    }
-
     /// The way of a unit's centre in the next step, seen from a frame that falls: there gravity is nothing to free
     /// units, and what stands still rises. Metres.
     pub(crate) fn travel(&self, unit: &UnitSlot) -> Vector3<f32> {

@@ -62,7 +62,7 @@ mod tests;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
-use nalgebra::Isometry3;
+use nalgebra::{Isometry3, Matrix3, Vector3};
 use rigidformer_perception::estimate::{Estimate, UnitEstimate, Visibility};
 
 use crate::scenes::RecordedScene;
@@ -79,6 +79,8 @@ pub use report::{
 /// Times that differ by less than this are one, seconds.
 // Stamps of one capture are rounded in several ways, and captures are many milliseconds apart.
 const SAME_S: f64 = 1e-3;
+/// Below it are 95 % of chi-squared of three degrees of freedom.
+const CHI_SQUARED_95: f64 = 7.815;
 
 /// Scores estimates, and predictions of the tracks' poses, against the scene that was seen. Times count from the scene's first frame;
 /// what lies outside of the record is left out. `seen` has the captures whose pixels were counted, with rising times; in a capture
@@ -182,8 +184,26 @@ struct Scored {
     poses: Vec<Isometry3<f32>>,
     /// (units) The track that found it.
     found: Vec<Option<u32>>,
-    /// Poses of tracks, whether they were seen, and the unit that is theirs so far.
-    tracks: Vec<(u32, Isometry3<f32>, bool, Option<usize>)>,
+    tracks: Vec<Tracked>,
+}
+
+/// A track in a capture.
+struct Tracked {
+    id: u32,
+    pose: Isometry3<f32>,
+    is_seen: bool,
+    /// The unit that is its own so far.
+    owner: Option<usize>,
+    /// Of its centre, square metres.
+    covariance: Matrix3<f64>,
+}
+
+impl Tracked {
+    /// Whether an offset of the centre is within 95 % of what the covariance says.
+    fn expects(&self, offset_m: &Vector3<f64>) -> bool {
+        let factors = self.covariance.cholesky();
+        factors.is_some_and(|factors| offset_m.dot(&factors.solve(offset_m)) <= CHI_SQUARED_95)
+    }
 }
 
 struct Run<'t> {
@@ -242,13 +262,12 @@ impl<'t> Run<'t> {
         }
         self.add_pairs(&tracks, &found, poses);
         let owner = &self.owner;
-        let tracks = tracks.iter().map(|(track, _)| {
-            (
-                track.id,
-                track.pose,
-                track.visibility == Visibility::Seen,
-                owner.get(&track.id).copied(),
-            )
+        let tracks = tracks.iter().map(|(track, _)| Tracked {
+            id: track.id,
+            pose: track.pose,
+            is_seen: track.visibility == Visibility::Seen,
+            owner: owner.get(&track.id).copied(),
+            covariance: track.covariance.fixed_view::<3, 3>(0, 0).into_owned().cast(),
         });
         let tracks = tracks.collect();
         self.captures.push(Scored { poses: poses.to_vec(), found, tracks });
@@ -329,13 +348,17 @@ impl<'t> Run<'t> {
             .collect();
         let (mut seen, mut unseen) = (Errors::default(), Errors::default());
         let mut by_unit: Vec<Errors> = surfaces.iter().map(|_| Errors::default()).collect();
+        let (mut expected, mut scored) = (0, 0);
         for capture in &self.captures {
-            for (id, pose, is_seen, owner) in &capture.tracks {
+            for track in &capture.tracks {
+                let Tracked { id, pose, is_seen, owner, .. } = track;
                 // A hidden track may be anywhere and stays the unit's that it was.
                 let finds = |unit: &usize| !is_seen || capture.found[*unit] == Some(*id);
                 let Some(unit) = owner.filter(finds) else { continue };
                 let Some(alignment) = alignments.get(&(*id, unit)) else { continue };
                 let error = alignment.error(pose, &capture.poses[unit], &surfaces[unit]);
+                scored += 1;
+                expected += usize::from(track.expects(&error.offset_m));
                 if *is_seen {
                     seen.add(error);
                     by_unit[unit].add(error);
@@ -369,6 +392,7 @@ impl<'t> Run<'t> {
             losses: self.losses,
             seen: seen.spread(),
             unseen: unseen.spread(),
+            expected_share: (scored > 0).then(|| expected as f64 / scored as f64),
             by_unit: by_unit.collect(),
             predictions,
         }

@@ -229,6 +229,7 @@ pub(super) fn shares(turn: &Vector3<f32>) -> (f32, f32) {
 }
 
 /// Quaternion of a rotation matrix by its largest component, w not negative.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 fn quaternion(r: &Matrix3<f32>) -> UnitQuaternion<f32> {
     let (a, b, c) = (r.m11, r.m22, r.m33);
     let squares = [1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c];

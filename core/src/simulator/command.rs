@@ -272,12 +272,8 @@ impl Simulator<'_, '_> {
         let half_fall = self.half_fall();
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
             // A free unit's way is that of the middle of a substep, others' have no gravity in them: the velocity lasts.
-            let (was_free, is_free) = (unit.given_role() == Role::Free, role == Role::Free);
-            if was_free != is_free {
-                let way =
-                    if is_free { unit.course.way - half_fall } else { unit.course.way + half_fall };
-                unit.course = unit.course.moving(way, unit.course.turn());
-            }
+            let free = |role: Role| f32::from(u8::from(role == Role::Free));
+            unit.course.way += half_fall * (free(unit.given_role()) - free(role));
             unit.role = role;
             unit.target = unit.current;
             unit.set_quarantine(Quarantine::None, role);

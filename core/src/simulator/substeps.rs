@@ -18,32 +18,35 @@ impl Scene<'_> {
     /// Where a unit would have been a step ago, as its motion in the last substep says.
     pub(super) fn step_ago(&self, unit: &UnitSlot) -> State {
         let substeps = self.substeps() as f32;
-        let way = (unit.course.way - self.lead(unit.role)) * substeps;
+        let lead = if unit.is_free() { self.lead() } else { 0.0 };
+        let way = (unit.course.way - self.fall() * lead) * substeps;
         let course = unit.course.moving(way, unit.course.turn() * substeps);
         let pose = State { pose: unit.current, course }.before();
         State { pose, course: unit.resting().course }
     }
 
-    /// What gravity has added to a unit's way in the last substep since the middle of the step, metres.
-    fn lead(&self, role: Role) -> Vector3<f32> {
-        match role {
-            Role::Free => self.gravity_lead_m(),
-            _ => Vector3::zeros(),
-        }
+    /// Falls that gravity has added to a free unit's way in the last substep since the middle of the step.
+    fn lead(&self) -> f32 {
+        0.5 * self.substeps().saturating_sub(1) as f32
     }
 }
 
 impl Simulator<'_, '_> {
     /// The course of a unit that goes from one pose to another in a step. The same pose twice is rest: no velocity now, not
     /// none in the mean of the step.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn course_between(&self, role: Role, before: &Pose, now: &Pose) -> Course {
         let share = 1.0 / self.scene.substeps() as f32;
         let turn = turn_between(&before.rotation, &now.rotation) * share;
-        let way = match role {
-            Role::Free if before == now => -self.half_fall(),
-            _ => (now.centre - before.centre) * share + self.scene.lead(role),
+        let way = (now.centre - before.centre) * share;
+        let zero = Vector3::zeros();
+        let rests = way == zero && turn == zero && !is_robot(self.model.config());
+        let falls = match role {
+            Role::Free if rests => -0.5,
+            Role::Free => self.scene.lead(),
+            _ => 0.0,
         };
-        Course::REST.moving(way, turn)
+        Course::REST.moving(way + self.scene.fall() * falls, turn)
     }
 
     /// What gravity changes of a free unit's way from the middle of a substep to its end, metres.

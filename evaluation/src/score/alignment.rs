@@ -20,6 +20,8 @@ pub(super) struct Alignment(Isometry3<f64>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PoseError {
     pub(super) translation_m: f64,
+    /// Where the centre is less where it truly is, in the world, metres.
+    pub(super) offset_m: Vector3<f64>,
     /// None of what shows no turns.
     pub(super) rotation_deg: Option<f64>,
     pub(super) surface_m: f64,
@@ -81,8 +83,10 @@ impl Alignment {
             }
             Symmetry::Ball => None,
         };
+        let offset = motion * centre - centre;
         PoseError {
-            translation_m: (motion * centre - centre).norm(),
+            translation_m: offset.norm(),
+            offset_m: truth.rotation.cast::<f64>() * offset,
             rotation_deg: rotation.map(f64::to_degrees),
             surface_m: surface.moved_m(&motion.cast()),
         }

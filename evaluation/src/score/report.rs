@@ -135,6 +135,9 @@ pub struct Score {
     pub seen: PoseErrors,
     /// Errors of tracks that were not: their poses are predicted by the tracker.
     pub unseen: PoseErrors,
+    /// Share of the positions, of seen tracks and unseen ones, whose error is within the 95 % region of the covariance that the track
+    /// claims: .95 where claims are right. None without errors.
+    pub expected_share: Option<f64>,
     /// By unit, in the order of the scene.
     pub by_unit: Vec<UnitScore>,
     /// By time ahead, rising.

@@ -242,3 +242,28 @@ fn wrong_input_is_named() {
     let json = serde_json::to_string(&nothing).unwrap();
     assert!(json.contains("\"false_tracks\":0"), "{json}");
 }
+
+/// Covariances that are a quarter, one and a hundred times the variance of the errors, and none at all.
+#[test]
+fn claims_of_covariances_are_counted() {
+    // Errors of a normal distribution along one axis, by its quantiles, in centimetres.
+    let errors = [-1.64, -1.04, -0.67, -0.39, -0.13, 0.13, 0.39, 0.67, 1.04, 1.64];
+    let share = |variance: Option<f32>, turned: bool| {
+        let score = scored(|frame, tracks| {
+            for track in tracks {
+                let way = Vector3::new(0.0, 0.0, 0.01 * errors[frame]);
+                track.pose.translation.vector += way;
+                let along = variance.map_or(0.0, |factor| 1e-4 * factor);
+                let across = variance.map_or(0.0, |_| 4e-6);
+                let [x, z] = if turned { [along, across] } else { [across, along] };
+                track.covariance.fixed_view_mut::<3, 3>(0, 0).set_diagonal(&[x, across, z].into());
+            }
+        });
+        score.expected_share.unwrap()
+    };
+    assert_eq!(share(Some(1.0), false), 1.0);
+    // Three degrees of freedom allow 2.8 deviations, so 1.4 of half of them.
+    assert_eq!(share(Some(0.25), false), 0.8);
+    assert!(share(Some(100.0), true) < 0.5);
+    assert_eq!(share(None, false), 0.0);
+}

@@ -241,7 +241,7 @@ fn print(
 }
 
 fn print_scores(scores: &Scores) -> anyhow::Result<()> {
-    let Score { found, findable, losses, seen, .. } = &scores.tracker;
+    let Score { found, findable, losses, seen, expected_share, .. } = &scores.tracker;
     output::line(format_args!(
         "found {found} of {findable} visible units; lost {}, merged {}, swapped {}, renewed {}, split {}, false {}",
         losses.lost,
@@ -257,6 +257,12 @@ fn print_scores(scores: &Scores) -> anyhow::Result<()> {
         seen.rotation_deg.median,
         seen.surface_m.median * 1e3,
     ))?;
+    if let Some(share) = expected_share {
+        output::line(format_args!(
+            "{:.1} % of the positions within what covariances say of 95 %",
+            share * 1e2
+        ))?;
+    }
     let header = [
         "ahead s",
         "position m",

@@ -14,7 +14,7 @@ mod patch;
 #[cfg(test)]
 mod tests;
 
-use crate::geometry::{State, norm, squared};
+use crate::geometry::{State, dot, squared};
 use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
@@ -250,7 +250,8 @@ fn outcome_together(
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn stays(world: &World<'_>, bodies: &Bodies<'_>, (number, unit): (usize, &UnitSlot)) -> bool {
     let [way, turn] = bodies.moved(number);
-    norm(&way) + norm(&turn) * unit.radius <= world.skin(unit.radius)
+    let (skin, arm) = (world.skin(unit.radius), turn * unit.radius);
+    dot(&way, &way) + dot(&arm, &arm) <= skin * skin
 }
 
 /// Where the solver has taken a unit that moves so at the end.
@@ -277,7 +278,7 @@ fn moved(
 
 /// Cuts a spin beyond [`MOST_TURN`] a step.
 fn cut(mover: &mut bodies::Mover, dt: f32) {
-    let turn = norm(&mover.spin) * dt;
+    let turn = crate::geometry::norm(&mover.spin) * dt;
     if turn > MOST_TURN {
         mover.spin *= MOST_TURN / turn;
     }

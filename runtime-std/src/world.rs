@@ -328,6 +328,7 @@ impl World {
         report: &mut (dyn FnMut(usize, Result<StepReport, StepError>) + Send),
     ) -> Result<(), StepError> {
         let engine = self.engine;
+        self.stepped.clear();
         let step = StepCopies { world: self, report };
         engine.enter(|| engine.kernel.run(step)).unwrap_or(Err(StepError::Layout))
     }
@@ -418,8 +419,8 @@ impl World {
         in_own_environment(|| self.simulator().pose(id))
     }
 
-    /// Where a unit was before the last step. Of one that was put somewhere or given a velocity since, where its motion says
-    /// that it was, as if it had flown ([`UnitView::previous_pose`](rigidformer_core::UnitView::previous_pose)).
+    /// Where a unit was before the last [`step`](Self::step). Of one whose pose or velocity is another since, and after
+    /// [`step_copies`](Self::step_copies), where its motion says that it was, as if it had flown ([`UnitView::previous_pose`](rigidformer_core::UnitView::previous_pose)).
     ///
     /// ```
     /// # use nalgebra::{Isometry3, Point3};
@@ -441,9 +442,11 @@ impl World {
         let unit = self.simulator().get(id)?;
         let is_it = |stepped: &&Stepped| {
             // Also where it was put back by the bits.
-            stepped.id == id
-                && Some(stepped.after) == self.pose(id)
-                && Some(stepped.velocity) == self.velocity(id)
+            in_own_environment(|| {
+                stepped.id == id
+                    && Some(stepped.after) == self.pose(id)
+                    && Some(stepped.velocity) == self.velocity(id)
+            })
         };
         Some(self.stepped.iter().find(is_it).map_or_else(|| unit.previous_pose(), |s| s.before))
     }

@@ -1086,7 +1086,7 @@ rf_status rf_unit_pose(const struct rf_simulator *simulator, rf_unit_id id, stru
 rf_status rf_poses(const struct rf_simulator *simulator, struct rf_pose *poses, size_t capacity);
 
 /**
- * How one unit moves now, at the end of its last step. Before the first step, a free unit counts as falling.
+ * How one unit moves now, at the end of its last step, in which gravity has acted to the end.
  *
  * @param simulator  the simulator
  * @param id         which unit

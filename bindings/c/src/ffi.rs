@@ -421,7 +421,7 @@ pub unsafe extern "C" fn rf_poses(
     unsafe { by_unit(simulator, poses, capacity, |unit| unit.pose().into()) }
 }
 
-/// How one unit moves now, at the end of its last step. Before the first step, a free unit counts as falling.
+/// How one unit moves now, at the end of its last step, in which gravity has acted to the end.
 ///
 /// @param simulator  the simulator
 /// @param id         which unit

@@ -703,7 +703,7 @@ impl World {
     /// >>> before = world.centres()
     /// >>> _ = world.step(3)
     /// >>> fallen = (before - world.centres())[0, 2]
-    /// >>> bool(abs(fallen - 10 * 1e-4**2 * (1 + 2 + 3)) < 1e-12)
+    /// >>> bool(abs(fallen - 10 * (3 * 1e-4) ** 2 / 2) < 1e-12)
     /// True
     fn centres<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         let world = self.lock(py)?;
@@ -1123,8 +1123,8 @@ impl World {
         arrays::rows(py, units, &[simulator.len(), POSE], out)
     }
 
-    /// Where a unit was before the last step: float32 (7,). Of one that was put somewhere or given a velocity since, where its
-    /// motion says that it was, as if it had flown. ``velocity`` says how a unit moves now.
+    /// Where a unit was before the last step: float32 (7,). Of one whose pose or velocity is another since, and of worlds that were
+    /// pickled, where its motion says that it was, as if it had flown. ``velocity`` says how a unit moves now.
     ///
     /// Raises
     /// ------

@@ -273,7 +273,7 @@ impl Simulator<'_, '_> {
         for unit in self.scene.units_mut().iter_mut().filter(changed) {
             // A free unit's way is that of the middle of a substep, others' have no gravity in them: the velocity lasts.
             let free = |role: Role| f32::from(u8::from(role == Role::Free));
-            unit.course.way += half_fall * (free(unit.given_role()) - free(role));
+            unit.course.way += half_fall * (free(unit.role) - free(role));
             unit.role = role;
             unit.target = unit.current;
             unit.set_quarantine(Quarantine::None, role);

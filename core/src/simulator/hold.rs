@@ -25,6 +25,7 @@ impl Simulator<'_, '_> {
         let (unit, _) = self.slot(copy, id)?;
         if unit.is_free() {
             unit.set_quarantine(Quarantine::Held, Role::Fixed);
+            unit.course = unit.resting().course;
         }
         Ok(())
     }

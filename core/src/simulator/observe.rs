@@ -105,7 +105,9 @@ impl Simulator<'_, '_> {
             observation.degenerate_units += u32::from(fit.rank != Rank::Full);
             let offset = self.centre(unit);
             let first = Pose { rotation: Matrix3::identity(), centre: offset.coords };
-            let poses = [&first, &fit.pose_at(&offset.coords)];
+            // A fit rounds: the same frame twice is rest.
+            let fitted = fit.pose_at(&offset.coords);
+            let poses = [&first, if unit.points == *current { &first } else { &fitted }];
             let poses = poses.map(|pose| self.scene.measure.inward(pose));
             self.add_checked(unit, &offset, poses);
         }

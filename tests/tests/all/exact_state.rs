@@ -1,8 +1,8 @@
 //! Motion without contact is exact, and contact is the same, at any time step and any place: `docs/MODEL.md`, section 6.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{Physics, Plane, Posed, Role, Simulator, Unit, UnitId, Velocity};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
+use rigidformer_core::{Observed, Physics, Plane, Posed, Role, Simulator, Unit, UnitId, Velocity};
 use rigidformer_tests::with_simulator;
 
 /// Exact at a million metres too.
@@ -272,13 +272,29 @@ fn snapshots_of_any_scene_are_read_again() {
 #[test]
 fn what_begins_at_rest_falls_from_rest() {
     type Begin = fn(&mut Simulator<'_, '_>, &Unit<'_>, &Isometry3<f32>, f32);
-    let begins: [(&str, Begin); 5] = [
+    let begins: [(&str, Begin); 7] = [
         ("added", |simulator, unit, pose, _| {
             simulator.add(unit, pose, pose).unwrap();
         }),
         ("observed", |simulator, unit, pose, dt_s| {
             let posed = Posed { unit: *unit, previous: *pose, current: *pose };
             simulator.observe_poses(dt_s, [posed]).unwrap();
+        }),
+        ("observed by its points", |simulator, unit, pose, dt_s| {
+            let turn = UnitQuaternion::from_euler_angles(0.3, 0.7, -1.1);
+            let turned = pose * Isometry3::from_parts(Translation3::identity(), turn);
+            let points: Vec<_> = unit.points.iter().map(|point| turned * point).collect();
+            let seen = Observed { unit: Unit::new(&points, WOOD), current: &points };
+            simulator.observe(dt_s, [seen]).unwrap();
+        }),
+        ("held and let go", |simulator, unit, pose, _| {
+            let id = simulator.add(unit, &Isometry3::translation(1.0, 0.0, 9.0), pose).unwrap();
+            simulator.hold_in(0, id, pose).unwrap();
+            let held = simulator.unit(0).unwrap();
+            assert_eq!(held.previous_pose(), held.pose());
+            simulator.set_role(id, Role::Driven).unwrap();
+            assert_eq!(simulator.velocity(id).unwrap().linear_m_s, Vector3::zeros());
+            simulator.set_role(id, Role::Free).unwrap();
         }),
         ("put back", |simulator, unit, pose, _| {
             let id = simulator.add(unit, &Isometry3::translation(1.0, 0.0, 9.0), pose).unwrap();
@@ -346,4 +362,38 @@ fn what_begins_in_the_ground_comes_out_and_rests() {
             assert_eq!(ids.map(|id| centre(simulator, id)), rest, "{deep_m}");
         });
     }
+}
+
+/// What is bonded comes out of the ground together.
+#[test]
+fn a_cluster_that_begins_in_the_ground_comes_out_and_rests() {
+    with_simulator(rigidformer_weights::EDGE, 64, |simulator| {
+        simulator.set_dt(1.0 / 48.0).unwrap();
+        let ids = [0.0, 1.0, 2.0].map(|number: f32| {
+            // The last one is deepest.
+            let z = HALF_M - 0.004 * number;
+            let pose = Isometry3::translation(2.0 * HALF_M * number, 0.0, z);
+            simulator.add(&Unit::new(&cube(), WOOD).body(1), &pose, &pose).unwrap()
+        });
+        let between = |simulator: &Simulator<'_, '_>| {
+            let poses = ids.map(|id| simulator.pose(id).unwrap());
+            [1, 2].map(|number: usize| poses[0].inv_mul(&poses[number]))
+        };
+        simulator.bond(&[[ids[0], ids[1]], [ids[1], ids[2]]]).unwrap();
+        let began = between(simulator);
+        run(simulator, 1.0, 48);
+        let rest = ids.map(|id| centre(simulator, id));
+        let poses = ids.map(|id| simulator.pose(id).unwrap());
+        let corners = cube();
+        let heights = poses.iter().flat_map(|pose| corners.iter().map(move |c| (pose * c).z));
+        let deepest = heights.fold(f32::INFINITY, f32::min);
+        assert!(deepest.abs() < 1e-3, "{deepest} m, {rest:?}");
+        for (now, began) in between(simulator).iter().zip(&began) {
+            let off = (now.translation.vector - began.translation.vector).norm();
+            let turned = now.rotation.angle_to(&began.rotation);
+            assert!(off < 1e-4 && turned < 1e-3, "{off} m, {turned} rad");
+        }
+        run(simulator, 1.0, 48);
+        assert_eq!(ids.map(|id| centre(simulator, id)), rest);
+    });
 }

@@ -214,7 +214,7 @@ fn outcome(
     if marks.level < FAR
         && marks.speed < rest
         && speed < rest
-        && stays(world, bodies, (number, unit))
+        && stays(world, bodies, (number, unit.radius))
     {
         return (world.lying(unit), -1.0);
     }
@@ -238,7 +238,11 @@ fn outcome_together(
     let touched = marks.touched != Touched::Never;
     let (rest, speed) = (world.rest(unit), mover.speed(cluster.radius));
     let is_slow = marks.speed < rest && speed < rest;
-    if touched && marks.level < FAR && is_slow && stays(world, bodies, (number, unit)) {
+    if touched
+        && marks.level < FAR
+        && is_slow
+        && stays(world, bodies, (cluster_root, cluster.radius))
+    {
         return (world.lying(unit), -1.0);
     }
     let share = if touched { world.share(unit, &mover, Some(&arm)) } else { 0.0 };
@@ -248,9 +252,9 @@ fn outcome_together(
 
 /// Whether a slow unit is where it was. What is pushed out of something else is slow too, and goes.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn stays(world: &World<'_>, bodies: &Bodies<'_>, (number, unit): (usize, &UnitSlot)) -> bool {
+fn stays(world: &World<'_>, bodies: &Bodies<'_>, (number, radius): (usize, f32)) -> bool {
     let [way, turn] = bodies.moved(number);
-    let (skin, arm) = (world.skin(unit.radius), turn * unit.radius);
+    let (skin, arm) = (world.skin(radius), turn * radius);
     dot(&way, &way) + dot(&arm, &arm) <= skin * skin
 }
 

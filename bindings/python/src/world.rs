@@ -1124,7 +1124,8 @@ impl World {
     }
 
     /// Where a unit was before the last step: float32 (7,). Of one whose pose or velocity is another since, and of worlds that were
-    /// pickled, where its motion says that it was, as if it had flown. ``velocity`` says how a unit moves now.
+    /// pickled, where its motion says that it was, as if it had flown. ``velocity`` says how a unit moves now; to go
+    /// back to a state, take a ``snapshot``.
     ///
     /// Raises
     /// ------

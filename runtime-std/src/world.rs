@@ -448,7 +448,12 @@ impl World {
                     && Some(stepped.velocity) == self.velocity(id)
             })
         };
-        Some(self.stepped.iter().find(is_it).map_or_else(|| unit.previous_pose(), |s| s.before))
+        if let Some(stepped) = self.stepped.iter().find(is_it) {
+            return Some(stepped.before);
+        }
+        let Velocity { linear_m_s, angular_rad_s } = self.velocity(id)?;
+        let rests = in_own_environment(|| linear_m_s.amax().max(angular_rad_s.amax()) < STILL);
+        Some(if rests { unit.pose() } else { unit.previous_pose() })
     }
 }
 
@@ -462,6 +467,8 @@ fn filled<T: Clone>(value: T, count: usize) -> Result<Vec<T>, WorldError> {
     Ok(all)
 }
 
+/// Slower units are where they were: what velocities round to, in m/s and rad/s.
+const STILL: f32 = 1e-6;
 /// f32 numbers of a cache line of 64 bytes.
 const CACHE_LINE: usize = 16;
 

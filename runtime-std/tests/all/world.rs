@@ -718,6 +718,7 @@ fn a_previous_pose_is_where_a_unit_was_before_the_step() {
     let mut world = world(&edge(), 3, 24);
     let places = [at(0.0, 0.0, 0.1), at(1.0, 0.0, 0.6), at(2.0, 0.0, 0.1)];
     let ids = places.map(|pose| world.add(&Unit::new(&points, RUBBER), &pose).unwrap());
+    assert_eq!(ids.map(|id| world.previous_pose(id)), ids.map(|id| world.pose(id)));
     world.set_velocity(ids[2], &Vector3::new(1.0, 0.0, 0.0), &Vector3::zeros()).unwrap();
     // It rests, it falls and bounces, it slides.
     for step in 0..20 {

@@ -317,7 +317,8 @@ fn find_correspondences(
             continue;
         }
         // The derivative of a distance by a rotation is its moment about the centre.
-        let lever: Vector3<f64> = rotation * (surfel.point - centre).cast::<f64>();
+        let arm = if surface.is_ball() { Vector3::zeros() } else { surfel.point - centre };
+        let lever: Vector3<f64> = rotation * arm.cast::<f64>();
         let correspondence =
             |direction: Vector3<f64>, distance: f64, weight: f64, is_boundary: bool| {
                 let (along, turning) = (direction, lever.cross(&direction));

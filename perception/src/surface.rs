@@ -38,8 +38,12 @@ pub(super) struct Surfel {
     free_captures: u8,
 }
 
-/// Deviation of a curved surface between known elements, in their spacing: that of a ball with 850.
-const KNOWN_DEVIATION: f32 = 0.015;
+/// Least cosine between normals of elements of one side.
+const SAME_SIDE: f32 = 0.5;
+/// Radius of a ball inside a mesh, in that of the ball around it, from which the mesh is a ball's.
+const BALL_SHARE: f32 = 0.9;
+/// Least deviation of a surface between known elements, in their spacing.
+const KNOWN_DEVIATION: f32 = 0.002;
 
 /// Cell, and which of six directions a surface faces.
 // Both sides of a thin body may lie in one cell, and must not be averaged.
@@ -54,6 +58,8 @@ pub(super) struct Surface {
     points: Arc<[Point3<f32>]>,
     /// Largest distance of a surfel from the origin of the frame, metres.
     radius_m: f32,
+    /// Whether it is that of a ball, whose facets do not tell its turn.
+    is_ball: bool,
 }
 
 /// The surfel nearest to a point.
@@ -73,22 +79,45 @@ impl Surface {
             tree: None,
             points: Arc::from([]),
             radius_m: 0.0,
+            is_ball: false,
         }
     }
 
     /// That of a body whose shape is known: elements about `spacing_m` from each other.
     pub(super) fn known(elements: &[(Point3<f32>, Vector3<f32>)], spacing_m: f32) -> Self {
         let mut surface = Surface::new(CELLS * spacing_m);
-        let information = (KNOWN_DEVIATION * spacing_m).max(1e-6).powi(-2);
-        let surfel = |(point, normal): &(Point3<f32>, Vector3<f32>)| Surfel {
-            point: *point,
-            normal: *normal,
-            information,
+        // How far the surface is from an element's plane, beside it: facets of a ball are in other planes than their neighbours.
+        let deviation_m = |(point, normal): &(Point3<f32>, Vector3<f32>)| {
+            let beside = elements.iter().filter(|(other, facing)| {
+                (other - point).norm_squared() < spacing_m * spacing_m
+                    && facing.dot(normal) > SAME_SIDE
+            });
+            let (sum, count) = beside.fold((0.0, 0.0), |(sum, count), (other, _)| {
+                let off = normal.dot(&(other - point));
+                (sum + off * off, count + 1.0)
+            });
+            (sum / f32::max(count, 1.0)).sqrt()
+        };
+        let least_m = (KNOWN_DEVIATION * spacing_m).max(1e-6);
+        let surfel = |element: &(Point3<f32>, Vector3<f32>)| Surfel {
+            point: element.0,
+            normal: element.1,
+            information: deviation_m(element).max(least_m).powi(-2),
             captures: u16::MAX,
             last: 0,
             free_captures: 0,
         };
         surface.surfels = elements.iter().map(surfel).collect();
+        let centre = Point3::from(
+            elements.iter().map(|(point, _)| point.coords).sum::<Vector3<f32>>()
+                / elements.len().max(1) as f32,
+        );
+        let (inner, outer) =
+            elements.iter().fold((f32::MAX, 0.0_f32), |(inner, outer), (point, normal)| {
+                let out = point - centre;
+                (inner.min(normal.dot(&out)), outer.max(out.norm()))
+            });
+        surface.is_ball = inner > BALL_SHARE * outer;
         surface.index();
         surface
     }
@@ -107,6 +136,10 @@ impl Surface {
 
     pub(super) fn radius_m(&self) -> f32 {
         self.radius_m
+    }
+
+    pub(super) fn is_ball(&self) -> bool {
+        self.is_ball
     }
 
     /// The surfel nearest to a point of the unit's frame.
@@ -299,5 +332,32 @@ mod tests {
         }
         assert!(surface.surfels().iter().all(|surfel| surfel.point.z <= 0.0));
         assert!(surface.nearest(&Point3::new(0.0, 0.0, -0.1)).is_some());
+    }
+
+    #[test]
+    fn known_elements_are_as_uncertain_as_their_surroundings() {
+        // On a plane there is nothing beside an element's own.
+        let flat: Vec<_> = (0..400)
+            .map(|k| {
+                let [u, v] = [k % 20, k / 20].map(|at| at as f32 * 0.01);
+                (Point3::new(u, v, 0.0), Vector3::z())
+            })
+            .collect();
+        let flat = Surface::known(&flat, 0.01);
+        assert!(!flat.is_ball());
+        assert!(flat.surfels().iter().all(|one| one.information.sqrt().recip() < 3e-5));
+        // 850 elements of a ball are 12 mm apart there, and their planes .6 mm off each other.
+        let ball: Vec<_> = sphere(850).into_iter().map(|(at, normal, _)| (at, normal)).collect();
+        let ball = Surface::known(&ball, 0.0133);
+        assert!(ball.is_ball());
+        let off = |one: &Surfel| one.information.sqrt().recip();
+        assert!(ball.surfels().iter().all(|one| (3e-4..1e-3).contains(&off(one))));
+        let egg = sphere(850).into_iter().map(|(at, normal, _)| {
+            (
+                Point3::new(at.x * 1.2, at.y, at.z),
+                Vector3::new(normal.x / 1.2, normal.y, normal.z).normalize(),
+            )
+        });
+        assert!(!Surface::known(&egg.collect::<Vec<_>>(), 0.0133).is_ball());
     }
 }

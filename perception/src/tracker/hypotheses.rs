@@ -25,6 +25,13 @@ const CONTACT_UNCERTAINTY: f64 = 0.5;
 
 /// Deviations within which a unit that rested is searched: metres, radians.
 const REACH: [f64; 2] = [0.03, 0.1];
+/// Share of samples on a unit's surface below which registration also starts from their centroid.
+// What slides along itself has few samples on it, and those fit.
+const MIN_SHARE: f64 = 0.85;
+/// The same of a unit that nothing touches or occludes: all of its samples are its own.
+const MIN_OWN_SHARE: f64 = 0.95;
+/// Deviation of a rotation that is searched from the centroid, radians.
+const SEARCHED_TURN: f64 = 0.3;
 
 impl TrackedUnit {
     /// Predicts its motion over `dt_s` from the capture at `last_s` on: stillness first where it rests, else the model's.
@@ -203,7 +210,7 @@ pub(super) fn register_unit(
             start.covariance[(axis, axis)] += REACH[axis / 3].powi(2);
         }
     }
-    let mut found = registered(unit, &start, own, centroid.as_ref())?;
+    let mut found = registered(unit, &start, own, centroid.as_ref(), is_unobstructed)?;
     if shift_m > 0.0 {
         let shift = Errors { position_m: shift_m, turn_rad: 0.0 };
         found.information = shift.widen(&found.information);
@@ -237,20 +244,35 @@ fn registered(
     prior: &Motion,
     own: &[Sample],
     centroid: Option<&CentroidPrior>,
+    is_unobstructed: bool,
 ) -> Option<Registered> {
-    let mut best: Option<Registered> = None;
-    for shift in [Some(Vector3::zeros()), unit.centroid_shift].into_iter().flatten() {
-        let start = Motion { centre: prior.centre + shift, ..prior.clone() };
-        let Some(mut found) = register(&unit.surface, &unit.centre, own, centroid, &start) else {
-            continue;
-        };
+    let from = |shift: Vector3<f64>, start: &Motion| {
+        let mut found = register(&unit.surface, &unit.centre, own, centroid, start)?;
         // The filter's prior is its own prediction, not the shifted start.
         for axis in 0..3 {
             found.delta[axis] += shift[axis];
         }
-        if best.as_ref().is_none_or(|best| score(&found) > MIN_SCORE_RATIO * score(best)) {
-            best = Some(found);
+        Some(found)
+    };
+    let shifted = |shift: Vector3<f64>| Motion { centre: prior.centre + shift, ..prior.clone() };
+    let starts = [Some(Vector3::zeros()), unit.centroid_shift].into_iter().flatten();
+    let better = |ratio: f64| {
+        move |first: Registered, second: Registered| {
+            if score(&second) > ratio * score(&first) { second } else { first }
         }
+    };
+    let first = starts.filter_map(|shift| from(shift, &shifted(shift)));
+    let mut best = first.reduce(better(MIN_SCORE_RATIO));
+    let (least, ratio) = match is_unobstructed {
+        true => (MIN_OWN_SHARE, 1.0),
+        false => (MIN_SHARE, MIN_SCORE_RATIO),
+    };
+    if best.as_ref().is_none_or(|best| best.share < least) {
+        let sum: Vector3<f64> = own.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
+        let shift = sum / own.len() as f64 - (prior.centre + unit.visible_centroid);
+        let mut start = shifted(shift);
+        start.add_pose_noise(shift.norm(), SEARCHED_TURN);
+        best = best.into_iter().chain(from(shift, &start)).reduce(better(ratio));
     }
     best.filter(|found| found.share > 0.3 && found.residual < 6.0)
 }

@@ -92,6 +92,9 @@ const MAX_KNOWN_SHARE: f32 = 0.5;
 /// Measurements of a view among which planes are searched, about.
 // Planes are large, so a hundredth of an image suffices.
 const PLANE_MEASUREMENTS: f32 = 3000.0;
+/// Deviations of a lost object's place, beside its radius, within which it is found again.
+// Beyond them it is another object of the same mesh, until its track ends.
+const REACHED_DEVIATIONS: f32 = 3.0;
 /// Objects that are known, at most.
 // The search at the first sight grows with their number times that of the units.
 const MAX_OBJECTS: usize = 64;
@@ -695,12 +698,13 @@ impl Tracker {
             in_own_environment(|| fit(object, surface, &self.units.get(*unit)?.surface))
         };
         let found: Vec<Option<Fit>> = pairs.par_iter().map(search).collect();
-        let mut found: Vec<((usize, usize), Fit)> =
-            pairs.into_iter().zip(found).filter_map(|(pair, fit)| Some((pair, fit?))).collect();
-        // A stable sort: of equal ones the first stays first.
-        found.sort_by(|a, b| a.1.cost.total_cmp(&b.1.cost));
+        let found = pairs.into_iter().zip(found).filter_map(|(pair, fit)| Some((pair, fit?)));
+        let mut found: Vec<((usize, usize), Fit, f32)> =
+            found.filter_map(|(pair, fit)| Some((pair, fit, self.way_to(pair, &fit)?))).collect();
+        // A stable sort: of equal ones the first stays first. Objects of one mesh fit alike, and each is sought where it was predicted.
+        found.sort_by(|a, b| a.1.cost.total_cmp(&b.1.cost).then(a.2.total_cmp(&b.2)));
         let mut taken = vec![false; self.objects.len()];
-        for ((unit, number), fit) in found {
+        for ((unit, number), fit, _) in found {
             let object = self.options.objects.get(number).filter(|_| !taken[number]);
             let is_unknown = self.units.get(unit).is_some_and(|unit| unit.known.is_none());
             let Some(object) = object.filter(|_| is_unknown) else { continue };
@@ -712,6 +716,18 @@ impl Tracker {
             // Its frame is another one from here on.
             self.report.given_up.extend(unit.id.take());
         }
+    }
+
+    /// How far a fit of an object to a unit is from where that object is predicted, in how far it may be; 1 where nothing is predicted. None
+    /// beyond that: it is another object.
+    fn way_to(&self, (unit, number): (usize, usize), fit: &Fit) -> Option<f32> {
+        let here = self.units.get(unit)?.pose() * fit.place;
+        let Some(lost) = self.units.iter().find(|unit| unit.is_object(number)) else {
+            return Some(1.0);
+        };
+        let off = (here * lost.centre).coords - lost.motion.centre.cast::<f32>();
+        let reach = lost.radius_m() + REACHED_DEVIATIONS * lost.motion.pose_deviation().0 as f32;
+        Some(off.norm() / reach).filter(|share| *share <= 1.0)
     }
 
     /// Gives numbers to units that enough captures show. An object that is found again has the number that it had.

@@ -1,6 +1,7 @@
 //! Pinhole cameras.
 
 use nalgebra::{Isometry3, Point3};
+use rigidformer_core::kernels::in_own_environment;
 
 /// A pinhole camera without distortion. Its frame has x to the right, y down and z forward; pixel (0, 0) is the top left one, and its
 /// middle is at (0, 0).
@@ -68,6 +69,15 @@ impl Camera {
     /// # Errors
     /// [`CameraError`] says which of them cannot be.
     pub fn new(
+        size: [u32; 2],
+        focal: [f32; 2],
+        centre: [f32; 2],
+        pose: Isometry3<f32>,
+    ) -> Result<Self, CameraError> {
+        in_own_environment(|| Self::new_here(size, focal, centre, pose))
+    }
+
+    fn new_here(
         size: [u32; 2],
         focal: [f32; 2],
         centre: [f32; 2],

@@ -3,6 +3,7 @@
 mod facts;
 
 use nalgebra::Point3;
+use rigidformer_core::kernels::in_own_environment;
 
 use super::camera::Camera;
 
@@ -98,7 +99,7 @@ impl DepthView {
                 return Err(DepthError::Size { width, height, given });
             }
         }
-        if !SCALES_M.contains(&scale_m) {
+        if !in_own_environment(|| SCALES_M.contains(&scale_m)) {
             return Err(DepthError::Scale { scale_m });
         }
         Ok(DepthView { camera, scale_m, depth, labels })

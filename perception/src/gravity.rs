@@ -2,6 +2,7 @@
 
 use nalgebra::Vector3;
 use rigidformer_core::Plane;
+use rigidformer_core::kernels::in_own_environment;
 
 use crate::capture::{Capture, View};
 use crate::depth_noise::DepthNoise;
@@ -80,6 +81,10 @@ impl Gravity {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn seen(capture: &Capture) -> Self {
+        in_own_environment(|| Self::seen_here(capture))
+    }
+
+    fn seen_here(capture: &Capture) -> Self {
         let in_camera = capture.views.iter().any(is_in_own_frame);
         let seen = planes(capture);
         let is_upright = seen.iter().any(|seen| seen.plane.normal.z > UPRIGHT);
@@ -97,6 +102,10 @@ impl Gravity {
 
 /// Planes of a capture, the largest first.
 pub fn planes(capture: &Capture) -> Vec<Seen> {
+    in_own_environment(|| planes_here(capture))
+}
+
+fn planes_here(capture: &Capture) -> Vec<Seen> {
     let mut measurements = Vec::new();
     for view in &capture.views {
         let mut noise = DepthNoise::default();

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 use rigidformer_core::Pieces;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::hull::ConvexHull;
 
 /// Surface elements of an object, at most.
@@ -102,6 +103,10 @@ impl KnownObject {
     /// # Errors
     /// [`ObjectError`].
     pub fn new(mesh: &ObjectMesh<'_>) -> Result<Self, ObjectError> {
+        in_own_environment(|| Self::new_here(mesh))
+    }
+
+    fn new_here(mesh: &ObjectMesh<'_>) -> Result<Self, ObjectError> {
         let number = mesh.points.len();
         let is_sound = mesh.triangles.iter().flatten().all(|at| (*at as usize) < number)
             && mesh.points.iter().chain(mesh.pieces.iter().flatten()).all(is_finite);

@@ -7,6 +7,7 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 use rigidformer_core::Plane;
 use rigidformer_core::geometry::dot;
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::noise::Noise;
 
 /// Planes that are found in a scene, at most.
@@ -236,7 +237,8 @@ pub struct Planes {
 impl Planes {
     /// An empty set, whose planes will have this friction and restitution. The seed is that of RANSAC's draws.
     pub fn new(physics: [f32; 2], gravity_m_s2: Vector3<f32>, seed: u64) -> Self {
-        let up = (-gravity_m_s2).try_normalize(1e-6).unwrap_or_else(Vector3::z);
+        let up = in_own_environment(|| (-gravity_m_s2).try_normalize(1e-6));
+        let up = up.unwrap_or_else(Vector3::z);
         let (found, all, tabletops) = (Vec::new(), Vec::new(), Vec::new());
         Planes {
             found,
@@ -300,6 +302,10 @@ impl Planes {
 
     /// Refines the planes by the points of a capture, and searches the outliers for more planes.
     pub fn update(&mut self, measurements: &[Measurement]) {
+        in_own_environment(|| self.update_here(measurements));
+    }
+
+    fn update_here(&mut self, measurements: &[Measurement]) {
         // Too few points determine no plane.
         if measurements.len() < 20 {
             return;

@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::Plane;
 use rigidformer_core::geometry::{centre_of_mass, farthest_point_order};
+use rigidformer_core::kernels::in_own_environment;
 use rigidformer_runtime::hull::ConvexHull;
 
 use super::planes::height_m;
@@ -92,6 +93,10 @@ impl Shape {
 
 /// Volume of the points' hull. Coplanar points have a hundredth of the volume of a ball of their extent, because a unit needs a mass.
 pub fn volume_m3(points: &[Point3<f32>]) -> f32 {
+    in_own_environment(|| volume_here(points))
+}
+
+fn volume_here(points: &[Point3<f32>]) -> f32 {
     let middle =
         points.iter().map(|point| point.coords).sum::<Vector3<f32>>() / points.len().max(1) as f32;
     let Some(hull) = ConvexHull::new(points) else {

@@ -137,6 +137,10 @@ impl Tracker {
     /// # Errors
     /// [`TrackError::Options`].
     pub fn new(options: TrackerOptions) -> Result<Self, TrackError> {
+        in_own_environment(|| Self::new_here(options))
+    }
+
+    fn new_here(options: TrackerOptions) -> Result<Self, TrackError> {
         check(&options)?;
         let forecaster = match &options.model {
             Some(model) => {
@@ -267,7 +271,8 @@ impl Tracker {
 
     /// The physics of a unit for the model: its mass is that of the hull of its [`shape`](Self::shape), or that of the object that it is.
     pub fn physics(&self, id: u32) -> Option<Physics> {
-        physics_of(self.units.iter().find(|unit| unit.id == Some(id))?, &self.options)
+        let unit = self.units.iter().find(|unit| unit.id == Some(id))?;
+        in_own_environment(|| physics_of(unit, &self.options))
     }
 
     /// Forecast of the units from the last capture on, in equal steps of about 1/24 s. The last step ends at `horizon_s`.

@@ -21,14 +21,14 @@ use std::ptr::{null, null_mut};
 const SIZE: [u32; 2] = [160, 120];
 
 /// A camera a metre above a floor looks straight down.
-fn camera() -> Camera {
+pub(crate) fn camera() -> Camera {
     let down =
         Isometry3::face_towards(&Point3::new(0.0, 0.0, 1.0), &Point3::origin(), &Vector3::y());
     Camera::new(SIZE, [140.0; 2], [80.0, 60.0], down).unwrap()
 }
 
 /// Tops of two boxes, 10 and 15 cm high: one slides, and one stands.
-fn image(frame: usize) -> Vec<u16> {
+pub(crate) fn image(frame: usize) -> Vec<u16> {
     let inside = |at: usize, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
         columns.contains(&(at % 160)) && rows.contains(&(at / 160))
     };
@@ -40,7 +40,7 @@ fn image(frame: usize) -> Vec<u16> {
     (0..160 * 120).map(depth).collect()
 }
 
-fn view(camera: &Camera, depth: &[u16]) -> rf_depth_view {
+pub(crate) fn view(camera: &Camera, depth: &[u16]) -> rf_depth_view {
     let pose = camera.pose();
     let q = pose.rotation.as_ref().coords;
     rf_depth_view {
@@ -70,7 +70,7 @@ fn capture(time_s: f64, depths: &[rf_depth_view], clouds: &[rf_cloud_view]) -> r
 }
 
 /// A capture from arrays that last as long as the call.
-fn observe(
+pub(crate) fn observe(
     handle: *mut rf_tracker,
     time_s: f64,
     depths: &[rf_depth_view],
@@ -85,7 +85,7 @@ fn options() -> rf_tracker_options {
     unsafe { options.assume_init() }
 }
 
-fn with_model() -> rf_tracker_options {
+pub(crate) fn with_model() -> rf_tracker_options {
     rf_tracker_options { model: EDGE.as_ptr(), model_bytes: EDGE.len(), ..options() }
 }
 
@@ -105,7 +105,7 @@ fn message(handle: *const rf_tracker) -> String {
 }
 
 /// A tracker that is destroyed at the end.
-struct Owned(*mut rf_tracker);
+pub(crate) struct Owned(pub(crate) *mut rf_tracker);
 
 impl Drop for Owned {
     fn drop(&mut self) {
@@ -113,7 +113,7 @@ impl Drop for Owned {
     }
 }
 
-fn made(options: &rf_tracker_options) -> Owned {
+pub(crate) fn made(options: &rf_tracker_options) -> Owned {
     let (handle, status, text) = create(options);
     assert_eq!(status, RF_OK, "{text}");
     Owned(handle)
@@ -130,7 +130,7 @@ fn all<T: Clone>(read: impl Fn(*mut T, usize, *mut usize) -> rf_status, empty: T
     slots
 }
 
-fn units(handle: *const rf_tracker) -> Vec<rf_track> {
+pub(crate) fn units(handle: *const rf_tracker) -> Vec<rf_track> {
     let empty = unsafe { std::mem::zeroed() };
     all(|slots, capacity, count| unsafe { rf_tracker_units(handle, slots, capacity, count) }, empty)
 }
@@ -221,12 +221,16 @@ fn assert_same(handle: *mut rf_tracker, rust: &mut Tracker) {
     assert!(left_out.iter().zip(&expected.left_out).all(|(one, (id, _))| one.id == *id));
 }
 
-fn rust(model: bool) -> Tracker {
+pub(crate) fn rust_options(model: bool) -> TrackerOptions {
     let mut options = TrackerOptions::default();
     if model {
         options.model = Some(LoadedModel::embedded("edge", EDGE).unwrap().for_host().unwrap());
     }
-    Tracker::new(options).unwrap()
+    options
+}
+
+fn rust(model: bool) -> Tracker {
+    Tracker::new(rust_options(model)).unwrap()
 }
 
 #[test]

@@ -19,9 +19,12 @@ pub fn attend_together<K: Kernels>(
     let (lanes, _) = scratch.get_mut(skipped..).unwrap_or_default().as_chunks_mut::<TOGETHER>();
     let (queries, scores) = lanes.split_at_mut(head_dim.min(lanes.len()));
     let scores = scores.get_mut(..a.count()).unwrap_or_default();
-    let blocks = a.queries.chunks((a.query_stride * TOGETHER).max(1));
-    for (block, out) in blocks.zip(out.chunks_mut((a.out_stride * TOGETHER).max(1))) {
-        for start in (0..a.inner).step_by(head_dim) {
+    let rows_of = |stride: usize| stride.saturating_mul(TOGETHER).max(1);
+    // No channel of a query is behind the last query.
+    let inner = a.inner.min(a.queries.len());
+    let blocks = a.queries.chunks(rows_of(a.query_stride));
+    for (block, out) in blocks.zip(out.chunks_mut(rows_of(a.out_stride))) {
+        for start in (0..inner).step_by(head_dim) {
             // Lanes without a query keep what they have; nobody reads what comes of it.
             for (lane, own) in rows(block, a.query_stride).enumerate() {
                 for (query, x) in queries.iter_mut().zip(slice_at(own, start, head_dim)) {
@@ -30,8 +33,8 @@ pub fn attend_together<K: Kernels>(
                     }
                 }
             }
-            let keys = a.tokens.get(a.key + start..).unwrap_or_default();
-            let values = a.tokens.get(a.value + start..).unwrap_or_default();
+            let keys = a.tokens.get(a.key.saturating_add(start)..).unwrap_or_default();
+            let values = a.tokens.get(a.value.saturating_add(start)..).unwrap_or_default();
             let totals = kernels.mix_lanes(queries, scores, keys, values, a.stride, a.scale());
             let shares = totals.map(|total| 1.0 / total);
             for mixture in queries.iter_mut() {
@@ -40,7 +43,7 @@ pub fn attend_together<K: Kernels>(
                 }
             }
             for (lane, out) in rows_mut(out, a.out_stride).enumerate() {
-                let out = slice_at_mut(out, a.out_start + start, head_dim);
+                let out = slice_at_mut(out, a.out_start.saturating_add(start), head_dim);
                 for (out, mixture) in out.iter_mut().zip(queries.iter()) {
                     *out = mixture.get(lane).copied().unwrap_or_default();
                 }

@@ -1,8 +1,10 @@
 //! Lengths that no memory has: nothing is read or written beyond a slice, and numbers that have no row stay what they were.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use half::f16;
 use rigidformer_core::ANCHORS;
-use rigidformer_core::kernels::{Lanes, Rows, TOGETHER};
+use rigidformer_core::kernels::{Attention, Lanes, Rows, TOGETHER, scratch_numbers};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
 use rigidformer_kernels::{Columns, HostKernels, Kernel, Quantised, Run};
@@ -115,6 +117,75 @@ fn only_the_first_row_has_a_place_at_so_long_a_stride() {
             }
         }
     }
+    with_all(Check);
+}
+
+/// Places of an attention that are none: builds that check sums and slices stop, others end and write no further than they may.
+#[test]
+fn attention_stays_in_its_slices() {
+    const RIM: usize = 16;
+    #[derive(Clone, Copy)]
+    struct Check;
+    impl Run for Check {
+        type Output = ();
+        fn run<K: HostKernels>(self, kernels: K) {
+            let numbers = series(96, 1);
+            let sound = Attention {
+                queries: &numbers[..48],
+                query_stride: 24,
+                gate: 8,
+                tokens: &numbers,
+                stride: 24,
+                key: 0,
+                value: 8,
+                head_dim: 4,
+                inner: 8,
+                out_stride: 12,
+                out_start: 2,
+            };
+            type Change = fn(&mut Attention<'_>, usize);
+            let changes: [Change; 9] = [
+                |a, length| a.query_stride = length,
+                |a, length| a.gate = length,
+                |a, length| a.stride = length,
+                |a, length| a.key = length,
+                |a, length| a.value = length,
+                |a, length| a.head_dim = length,
+                |a, length| a.inner = length,
+                |a, length| a.out_stride = length,
+                |a, length| a.out_start = length,
+            ];
+            let attended = |attention: &Attention<'_>, scratch: usize| {
+                let mut room = vec![7.0; scratch + 2 * RIM];
+                let mut out = vec![7.0; 24 + 2 * RIM];
+                let ends = catch_unwind(AssertUnwindSafe(|| {
+                    let scratch = &mut room[RIM..RIM + scratch];
+                    kernels.attend(attention, scratch, &mut out[RIM..RIM + 24]);
+                }));
+                for all in [&room, &out] {
+                    let rims = all[..RIM].iter().chain(&all[all.len() - RIM..]);
+                    assert!(rims.copied().all(|x| x == 7.0), "{}: {attention:?}", K::NAME);
+                }
+                ends.map(|()| out)
+            };
+            let whole = scratch_numbers(4, 4);
+            assert!(attended(&sound, whole).is_ok());
+            for length in lengths().step_by(3).chain(0..=26) {
+                for change in changes {
+                    let mut odd = sound;
+                    change(&mut odd, length);
+                    let _ = [3, whole].map(|scratch| attended(&odd, scratch));
+                }
+            }
+        }
+    }
+    // Thousands of panics of this thread, which are meant: nobody wants to read them.
+    let (tell, here) = (std::panic::take_hook(), std::thread::current().id());
+    std::panic::set_hook(Box::new(move |panic| {
+        if std::thread::current().id() != here {
+            tell(panic);
+        }
+    }));
     with_all(Check);
 }
 

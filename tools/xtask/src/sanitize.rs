@@ -94,7 +94,8 @@ pub(crate) fn run_threads(report: &mut Report) -> Result<()> {
     let mut command = Command::new("cargo");
     command.args(["+nightly", "test", "-Zbuild-std", "--target", &host()?]);
     command.args(["--target-dir", "target/sanitize-threads"]).args(SHARED).arg("--").args(SHARING);
-    command.env("RUSTFLAGS", "-Zsanitizer=thread").env("RIGIDFORMER_EMULATED", "1");
+    command.env("RUSTFLAGS", "-Zsanitizer=thread");
+    command.env("RIGIDFORMER_EMULATED", "1").env("RIGIDFORMER_WATCHED", "1");
     println!("RUSTFLAGS=-Zsanitizer=thread {}", line(&command));
     run(&mut command).context("ThreadSanitizer found something")
 }

@@ -249,6 +249,12 @@ impl Sampler {
         Sampled { clusters, left_out, measured, occluded }
     }
 
+    /// Adds to the numbers of the last image's clusters.
+    pub(super) fn add_to_numbers(&mut self, more: u32) {
+        let kept = self.found.iter_mut().filter(|found| found.cluster != UNASSIGNED);
+        kept.for_each(|found| found.cluster += more);
+    }
+
     /// (height * width) The cluster of each pixel of the last image; none for pixels of no cluster.
     pub(super) fn clusters(&self) -> impl Iterator<Item = Option<u32>> {
         (0..self.parent.len()).map(|at| self.found_at(at).map(|found| found.cluster))

@@ -96,9 +96,17 @@ fn unite(owner: &mut [usize], a: usize, b: usize) {
 fn parts(surface: &Surface, segments: &[u32]) -> Vec<Part> {
     let mut pixels: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     let numbered = segments.iter().enumerate().filter(|(_, segment)| **segment != NONE);
+    // Pixels of a row are mostly of one segment.
+    let mut run: (u32, Vec<u32>) = (NONE, Vec::new());
     for (at, segment) in numbered {
-        pixels.entry(*segment).or_default().push(at as u32);
+        if *segment != run.0 {
+            pixels.entry(run.0).or_default().append(&mut run.1);
+            run.0 = *segment;
+        }
+        run.1.push(at as u32);
     }
+    pixels.entry(run.0).or_default().append(&mut run.1);
+    pixels.remove(&NONE);
     let mut all: Vec<(u32, Vec<u32>)> =
         pixels.into_iter().filter(|(_, pixels)| pixels.len() >= MIN_PIXELS).collect();
     all.sort_by_key(|(_, pixels)| std::cmp::Reverse(pixels.len()));

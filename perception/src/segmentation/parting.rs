@@ -77,6 +77,18 @@ pub(super) fn above(
     };
     let holds: BTreeMap<u32, u8> =
         counts.iter().map(|(segment, own)| (*segment, holds(own))).collect();
-    let of = |segment: &u32| holds.get(segment).copied().unwrap_or(0);
-    Some(tabletops.above.iter().zip(segments).map(|(above, at)| above & of(at)).collect())
+    let mut last = (NONE, 0);
+    let mut of = |segment: u32| {
+        if segment != last.0 {
+            last = (segment, holds.get(&segment).copied().unwrap_or(0));
+        }
+        last.1
+    };
+    let mut held = vec![0; segments.len()];
+    for ((held, above), segment) in held.iter_mut().zip(tabletops.above).zip(segments) {
+        if *above > 0 && *segment != NONE {
+            *held = above & of(*segment);
+        }
+    }
+    Some(held)
 }

@@ -66,7 +66,7 @@ use super::forecast::{Forecaster, MovingUnit};
 use super::known::KnownObject;
 use super::motion::{Motion, ProcessNoise};
 use super::planes::{Measurement, Planes};
-use super::sampling::{Bounds, Sample, Sampler, bytes_to_sample};
+use super::sampling::{Bounds, Sample, Sampled, Sampler, bytes_to_sample};
 use super::surface::Surface;
 use association::{Cluster, Owners, UNOWNED, associate, bodies};
 use fit::{Fit, fit};
@@ -422,30 +422,43 @@ impl Tracker {
         }
         self.planes.update(&measurements);
         self.samples.clear();
+        let (planes, options) = (&self.planes, &self.options);
+        let all =
+            capture.views.par_iter().zip(&mut self.samplers).map(|(view, (sampler, noise))| {
+                in_own_environment(|| {
+                    let mut own = Vec::new();
+                    let how = options.segmentation;
+                    let has_labels = match view {
+                        View::Depth(view) => view.labels.is_some(),
+                        View::Cloud(cloud) => cloud.labels.is_some(),
+                    };
+                    let labelled = how == Segmentation::Given && has_labels;
+                    let most = Bounds { clusters: options.clusters, next: 0 };
+                    let sampled = match view {
+                        View::Depth(view) => {
+                            sampler.sample(view, planes, noise, how, most, &mut own)
+                        }
+                        View::Cloud(cloud) => {
+                            sample_cloud(cloud, planes, &mut sampler.segmenter, how, most, &mut own)
+                        }
+                    };
+                    (sampled, own, labelled)
+                })
+            });
+        let all: Vec<(Sampled, Vec<Sample>, bool)> = all.collect();
         let mut clusters = Vec::new();
         let mut next = 0;
-        for (number, (view, (sampler, noise))) in
-            capture.views.iter().zip(&mut self.samplers).enumerate()
-        {
+        for (number, (mut sampled, mut own, labelled)) in all.into_iter().enumerate() {
+            // Views are sampled side by side, and each begins to count at 0. Labels are the same in all views.
+            if !labelled {
+                own.iter_mut().for_each(|sample| sample.cluster += next);
+                sampled.occluded.iter_mut().for_each(|cluster| *cluster += next);
+                if let Some((sampler, _)) = self.samplers.get_mut(number) {
+                    sampler.add_to_numbers(next);
+                }
+            }
             let first = self.samples.len();
-            let bounds = Bounds { clusters: self.options.clusters, next };
-            let planes = &self.planes;
-            let (options, samples) = (&self.options, &mut self.samples);
-            let (sampled, labelled) = match view {
-                View::Depth(view) => {
-                    let labelled =
-                        options.segmentation == Segmentation::Given && view.labels.is_some();
-                    let how = options.segmentation;
-                    (sampler.sample(view, planes, noise, how, bounds, samples), labelled)
-                }
-                View::Cloud(cloud) => {
-                    let labelled =
-                        options.segmentation == Segmentation::Given && cloud.labels.is_some();
-                    let segmenter = &mut sampler.segmenter;
-                    let how = options.segmentation;
-                    (sample_cloud(cloud, planes, segmenter, how, bounds, samples), labelled)
-                }
-            };
+            self.samples.extend(own);
             next += sampled.clusters;
             self.report.clusters += sampled.clusters as usize;
             self.report.clusters_left_out += sampled.left_out as usize;

@@ -155,6 +155,27 @@ pub(super) fn register(
     centroid: Option<&CentroidPrior>,
     prior: &Motion,
 ) -> Option<Registered> {
+    search(surface, centre, samples, centroid, (prior, false))
+}
+
+/// The same of a unit that rests: most of its samples are on its surface, and what is farther off is of something else.
+pub(super) fn register_at_rest(
+    surface: &Surface,
+    centre: &Point3<f32>,
+    samples: &[Sample],
+    centroid: Option<&CentroidPrior>,
+    prior: &Motion,
+) -> Option<Registered> {
+    search(surface, centre, samples, centroid, (prior, true))
+}
+
+fn search(
+    surface: &Surface,
+    centre: &Point3<f32>,
+    samples: &[Sample],
+    centroid: Option<&CentroidPrior>,
+    (prior, rests): (&Motion, bool),
+) -> Option<Registered> {
     let prior_information = prior.pose_covariance().try_inverse()?;
     let mut delta = Vector6::<f64>::zeros();
     let (position, turn) = prior.pose_deviation();
@@ -220,7 +241,11 @@ pub(super) fn register(
         let (moves, turns) = (change.fixed_rows::<3>(0).norm(), change.fixed_rows::<3>(3).norm());
         // The gate shrinks in the first steps, so that small ones are no sign of convergence yet.
         if step > 1 && moves < CONVERGED && turns < CONVERGED {
-            break;
+            if !rests || gate.extra_m <= 0.0 {
+                break;
+            }
+            // With an allowance for motion, what is beside the unit would count as on its surface, and far off.
+            gate.extra_m = 0.0;
         }
         // Each step halves the allowance: the pose approaches the optimum.
         gate.extra_m *= 0.5;

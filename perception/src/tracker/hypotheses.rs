@@ -7,7 +7,7 @@ use super::rest::{Anchor, Seeing};
 use super::unit::{Found, TrackedUnit};
 use crate::forecast::PredictedUnit;
 use crate::motion::{Candidate, Motion, ProcessNoise};
-use crate::registration::{CentroidPrior, Registered, misfit, moved, register};
+use crate::registration::{CentroidPrior, Registered, misfit, moved, register, register_at_rest};
 use crate::sampling::Sample;
 
 /// Samples that registration needs.
@@ -247,6 +247,7 @@ fn registered(
     is_unobstructed: bool,
 ) -> Option<Registered> {
     let from = |shift: Vector3<f64>, start: &Motion| {
+        let register = if unit.predicted_still { register_at_rest } else { register };
         let mut found = register(&unit.surface, &unit.centre, own, centroid, start)?;
         // The filter's prior is its own prediction, not the shifted start.
         for axis in 0..3 {

@@ -258,17 +258,57 @@ def _nearest_torch(query, rotation, centre, start, count, bank, scale, group=Non
     return unit, local
 
 
+#: Squarings after which the greatest eigenvalue's share of `nearest_rotation` is all that is left.
+SQUARINGS = 14
+
+
+def nearest_rotation(covariance):
+    """What `_Procrustes` gives, without a decomposition: Horn's quaternion, by squaring his matrix in f64. An accelerator takes small
+    matrices' decompositions one after another."""
+    c = covariance.double().flatten(-2).unbind(-1)  # rows: target, columns: reference
+    xx, xy, xz, yx, yy, yz, zx, zy, zz = c
+    rows = (
+        xx + yy + zz, zy - yz, xz - zx, yx - xy,
+        zy - yz, xx - yy - zz, xy + yx, xz + zx,
+        xz - zx, xy + yx, yy - xx - zz, yz + zy,
+        yx - xy, xz + zx, yz + zy, zz - xx - yy,
+    )  # fmt: skip
+    power = torch.stack(rows, -1).unflatten(-1, (4, 4))
+    size = power.square().sum((-1, -2), keepdim=True).sqrt()
+    power = power / size.clamp(min=1e-30) + 1.001 * torch.eye(4, dtype=power.dtype, device=power.device)  # no eigenvalue below 0
+    for k in range(SQUARINGS):
+        power = power @ power
+        if k % 3 == 1 or k + 1 == SQUARINGS:
+            power = power / power.diagonal(dim1=-2, dim2=-1).sum(-1)[..., None, None]
+    # The column that is longest: of the first of equals.
+    best = power.diagonal(dim1=-2, dim2=-1).argmax(-1)[..., None, None].expand(*power.shape[:-1], 1)
+    q = power.gather(-1, best)[..., 0]
+    q = q / q.square().sum(-1, keepdim=True).sqrt()
+    return quaternion_to_matrix(q).to(covariance.dtype)
+
+
+def solve_three(matrix, vector):
+    """x of matrix x = vector, (..., 3, 3) and (..., 3), by cross products."""
+    a, b, c = matrix.unbind(-1)
+    bc, ca, ab = torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)
+    rows = torch.stack((bc, ca, ab), -2)
+    return (rows * vector[..., None, :]).sum(-1) / (a * bc).sum(-1, keepdim=True)
+
+
 class _Procrustes(torch.autograd.Function):
     """Rotation nearest to a covariance, with the derivative of the polar factor:
     well-behaved for equal singular values, where the SVD's own derivative is not."""
 
     @staticmethod
     def forward(ctx, covariance):  # (..., 3, 3): sum of target outer reference
-        u, s, vh = torch.linalg.svd(covariance)
-        sign = torch.det(u @ vh).sign()
-        d = torch.ones_like(s)
-        d[..., 2] = sign
-        rotation = (u * d[..., None, :]) @ vh
+        if covariance.is_cuda:
+            rotation = nearest_rotation(covariance)
+        else:
+            u, s, vh = torch.linalg.svd(covariance)
+            sign = torch.det(u @ vh).sign()
+            d = torch.ones_like(s)
+            d[..., 2] = sign
+            rotation = (u * d[..., None, :]) @ vh
         ctx.save_for_backward(rotation, covariance)
         return rotation
 
@@ -283,7 +323,10 @@ class _Procrustes(torch.autograd.Function):
         body = rotation.transpose(-1, -2) @ grad
         skew = body - body.transpose(-1, -2)
         omega = torch.stack((skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]), -1)
-        y = torch.linalg.solve(system.transpose(-1, -2), omega[..., None])[..., 0]
+        if grad.is_cuda:
+            y = solve_three(system.transpose(-1, -2), omega)
+        else:
+            y = torch.linalg.solve(system.transpose(-1, -2), omega[..., None])[..., 0]
         zero = torch.zeros_like(y[..., 0])
         cross = torch.stack(
             (zero, -y[..., 2], y[..., 1], y[..., 2], zero, -y[..., 0], -y[..., 1], y[..., 0], zero),

@@ -60,7 +60,7 @@ class Planes:
         normal = self.normal[batch, index]
         height = (points * normal).sum(-1) - self.offset[batch, index]
         nothing = which == NOTHING
-        up = torch.tensor((0.0, 0.0, 1.0), dtype=points.dtype, device=points.device)
+        up = torch.eye(3, dtype=points.dtype, device=points.device)[2]  # nothing is copied to an accelerator
         nil = torch.zeros_like(height)
         return (
             torch.where(nothing[..., None], up, normal), torch.where(nothing, nil + ABYSS_M, height),

@@ -42,6 +42,7 @@ from .ranks import Ranks, checksum, started_by_torchrun
 from .roles import FREE
 
 BETA_M_S = 0.25  # SmoothL1: quadratic below, linear above
+FINE_M_S = 0.005  # the same of a second one that keeps free flight straight, where the first hardly pulls
 #: Layers that `rigidformer pack --dtype i8` keeps at f16.
 F16_LAYERS = ("encoder.point.0", "encoder.impact.0", "anchors.query.0", "anchors.head.1", "bonds.net.0")
 NOISE_M_S = 0.01  # on the first velocity of a window, as a rate so that s = 1 is not drowned
@@ -59,12 +60,12 @@ def displaced(rotation, centre, metres):
     return torch.linalg.matrix_exp(spin)[:, :, None] @ rotation, centre + shift[:, :, None]
 
 
-def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None, places=False, displace=0.0):
+def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=BETA_M_S, teacher=None, places=False, displace=0.0, fine=0.0):
     """Closed-loop loss of a window: velocity and mean drift of the anchors, before and
     after the projection, over free units that may have touched something. Models whose state has the velocity at the end
     of a step: that too. `teacher`: a model whose output at the same state is wanted too, as much as one of these. `places`: where the
     anchors are instead, in m/s of one step, so that it pays to make up for what is off. `displace`: metres by which the
-    observed units are put elsewhere than recorded."""
+    observed units are put elsewhere than recorded. `fine`: weight of the second loss, of errors of millimetres a second."""
     scene = model.measured(scene)
     if scene.length is not None:  # errors too are in the scene's measure
         centre = centre / scene.length[:, None, None, None]
@@ -105,6 +106,8 @@ def window_loss(model, scene, rotation, centre, horizon, noise=NOISE_M_S, beta=B
                 errors = (guess - truth) / (dt * k), (guess - before) / dt - speed  # drift and rate
             for e in errors:
                 loss = loss + F.smooth_l1_loss(e, torch.zeros_like(e), beta=beta, reduction="none")
+                if fine:
+                    loss = loss + fine * F.smooth_l1_loss(e, torch.zeros_like(e), beta=FINE_M_S, reduction="none")
         if prior is not None:
             way, turn = (v[:, :, k + 1] for v in scene.pace)
             fall = 0.5 * model.gravity_of(scene)[:, None] * dt[..., 0].square()

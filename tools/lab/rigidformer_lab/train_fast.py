@@ -5,7 +5,7 @@
 
 `--data` takes scene files, and folders of parts that `movi` is still making: they are read as they come. All scenes stand on z = 0 and
 have free units only. On GPUs an update is a CUDA graph: windows are drawn, told, learnt from and averaged without the processor.
-The checkpoint is that of `train`, for `evaluate` and `export`; `curve.jsonl` has windows, minutes and validation errors.
+The checkpoint is that of `train`, for `evaluate` and `export`, and so is `weights.pt`, a quarter of it; `curve.jsonl` has windows, minutes and validation errors.
 """
 
 from __future__ import annotations
@@ -338,13 +338,14 @@ def main(text=None):
         print(json.dumps(line), file=sys.stderr, flush=True)
 
     def write():
-        save(
-            path, model=flat.state(flat.weights), average=flat.state(flat.average), average_count=float(flat.count),
-            optimizer={name: {k: v for k, v in flat.state(value).items() if k in flat.names}
-                       for name, value in (("mean", flat.mean), ("square", flat.square))},
-            spent=spent, updates=updates, seen=seen, config=config.to_json(), data=feed.text(), runs=runs, resumed=resumed,
-            arguments=json.loads(json.dumps(vars(args), default=str)),
+        what = dict(
+            average=flat.state(flat.average), spent=spent, updates=updates, seen=seen, config=config.to_json(), data=feed.text(),
+            runs=runs, resumed=resumed, arguments=json.loads(json.dumps(vars(args), default=str)),
         )  # fmt: skip
+        save(args.run / "weights.pt", **what)
+        moments = (("mean", flat.mean), ("square", flat.square))
+        optimizer = {name: {k: v for k, v in flat.state(value).items() if k in flat.names} for name, value in moments}
+        save(path, model=flat.state(flat.weights), average_count=float(flat.count), optimizer=optimizer, **what)
 
     def check(steps=None):
         if validation:

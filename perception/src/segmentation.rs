@@ -65,7 +65,7 @@ impl Segmenter {
             self.is_edge.clear();
         }
         self.segment_components(image, segments);
-        if let Some(above) = parting::above(image, &self.surface.normals, segments) {
+        if let Some(above) = parting::above(image, &self.surface, segments) {
             self.connect_components(image, |a, b| above[a] == above[b]);
             self.segment_components(image, segments);
         }

@@ -113,14 +113,11 @@ fn parts(surface: &Surface, segments: &[u32]) -> Vec<Part> {
     all.truncate(MAX_SEGMENTS);
     all.sort_by_key(|(segment, _)| *segment);
     let part = |(segment, pixels): (u32, Vec<u32>)| {
-        let sound: Vec<u32> = pixels
-            .iter()
-            .copied()
-            .filter(|at| surface.normals[*at as usize] != Vector3::zeros())
-            .collect();
+        let sound: Vec<u32> =
+            pixels.iter().copied().filter(|at| surface.normal(*at as usize).is_some()).collect();
         let step = sound.len().div_ceil(MAX_SAMPLES).max(1);
         let samples: Vec<u32> = sound.into_iter().step_by(step).collect();
-        let points = samples.iter().map(|at| surface.points[*at as usize].coords);
+        let points = samples.iter().map(|at| surface.point(*at as usize).coords);
         let bounds = |(low, high): (Vector3<f32>, Vector3<f32>), point: Vector3<f32>| {
             (low.inf(&point), high.sup(&point))
         };
@@ -133,12 +130,13 @@ fn parts(surface: &Surface, segments: &[u32]) -> Vec<Part> {
 
 /// Whether normals turn towards each other, as in a cup.
 fn is_hollow(surface: &Surface, part: &Part) -> bool {
+    let normal = |at: usize| surface.normal(at).unwrap_or_default();
     let (mut sum, mut turned, mut pairs) = (0.0f32, 0.0f32, 0.0f32);
     for (number, a) in part.samples.iter().enumerate() {
         for b in &part.samples[number + 1..] {
             let (a, b) = (*a as usize, *b as usize);
-            let across = surface.points[a] - surface.points[b];
-            let turn = surface.normals[a] - surface.normals[b];
+            let across = surface.point(a) - surface.point(b);
+            let turn = normal(a) - normal(b);
             pairs += 1.0;
             if turn.norm() > MIN_TURN {
                 turned += 1.0;
@@ -198,12 +196,13 @@ fn is_cut_in_two(
     if apart > (a.high - a.low).norm() + (b.high - b.low).norm() {
         return false;
     }
+    let normal = |at: u32| surface.normal(at as usize).unwrap_or_default();
     let mut pairs = Vec::new();
     let mut partners = [vec![0usize; a.samples.len()], vec![0usize; b.samples.len()]];
     for (i, from) in a.samples.iter().enumerate() {
-        let (p, n) = (surface.points[*from as usize], surface.normals[*from as usize]);
+        let (p, n) = (surface.point(*from as usize), normal(*from));
         for (j, to) in b.samples.iter().enumerate() {
-            let (q, m) = (surface.points[*to as usize], surface.normals[*to as usize]);
+            let (q, m) = (surface.point(*to as usize), normal(*to));
             if n.dot(&m) < ALIKE {
                 continue;
             }
@@ -226,7 +225,7 @@ fn is_cut_in_two(
     let step = pairs.len().div_ceil(MAX_LINES).max(1);
     let (mut behind, mut in_front, mut all) = (0.0f32, 0.0f32, 0.0f32);
     for (from, to) in pairs.into_iter().step_by(step) {
-        let ends = [from, to].map(|at| surface.points[at as usize]);
+        let ends = [from, to].map(|at| surface.point(at as usize));
         for step in 1..LINE_PIXELS {
             let share = step as f32 / LINE_PIXELS as f32;
             let Some((at, z)) = between(image, ends, share) else { continue };

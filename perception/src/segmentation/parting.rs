@@ -5,9 +5,8 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector3;
-
 use super::image::{Image, NONE};
+use super::surface::Surface;
 
 /// Cosine between a level face's normal and the vertical, at least: 25 degrees, as for creases.
 const LEVEL_COSINE: f32 = 0.906;
@@ -29,17 +28,15 @@ struct Counts {
 
 /// (height * width) The tabletops that a pixel is above, where its segment has their face or may stand on it. Without normals all is
 /// a face that is at its height. None where no pixel is above any.
-pub(super) fn above(
-    image: &Image<'_>,
-    normals: &[Vector3<f32>],
-    segments: &[u32],
-) -> Option<Vec<u8>> {
+pub(super) fn above(image: &Image<'_>, surface: &Surface, segments: &[u32]) -> Option<Vec<u8>> {
     let tabletops = &image.tabletops;
     if tabletops.above.iter().all(|bits| *bits == 0) {
         return None;
     }
-    let is_level =
-        |at: usize| normals.get(at).is_none_or(|normal| normal.dot(&tabletops.up) > LEVEL_COSINE);
+    let is_level = |at: usize| {
+        !surface.is_there()
+            || surface.normal(at).is_some_and(|normal| normal.dot(&tabletops.up) > LEVEL_COSINE)
+    };
     let mut all = Counts::default();
     let mut counts: BTreeMap<u32, Counts> = BTreeMap::new();
     let mut last = (NONE, Counts::default());

@@ -48,6 +48,8 @@ struct Part {
     segment: u32,
     pixels: Vec<u32>,
     samples: Vec<u32>,
+    /// Point and normal of each sample.
+    elements: Vec<(Point3<f32>, Vector3<f32>)>,
     low: Vector3<f32>,
     high: Vector3<f32>,
 }
@@ -57,7 +59,7 @@ pub(super) fn join(image: &Image<'_>, surface: &Surface, segments: &mut [u32]) {
     let parts = parts(surface, segments);
     let mut owner: Vec<usize> = (0..parts.len()).collect();
     for (number, part) in parts.iter().enumerate() {
-        if is_hollow(surface, part)
+        if is_hollow(part)
             && let Some(outside) = outside(image, segments, &parts, part)
         {
             unite(&mut owner, number, outside);
@@ -66,7 +68,7 @@ pub(super) fn join(image: &Image<'_>, surface: &Surface, segments: &mut [u32]) {
     for a in 0..parts.len() {
         for b in a + 1..parts.len() {
             if of(&owner, a) != of(&owner, b)
-                && is_cut_in_two(image, surface, segments, [&parts[a], &parts[b]])
+                && is_cut_in_two(image, segments, [&parts[a], &parts[b]])
             {
                 unite(&mut owner, a, b);
             }
@@ -117,26 +119,27 @@ fn parts(surface: &Surface, segments: &[u32]) -> Vec<Part> {
             pixels.iter().copied().filter(|at| surface.normal(*at as usize).is_some()).collect();
         let step = sound.len().div_ceil(MAX_SAMPLES).max(1);
         let samples: Vec<u32> = sound.into_iter().step_by(step).collect();
-        let points = samples.iter().map(|at| surface.point(*at as usize).coords);
+        let element = |at: &u32| {
+            (surface.point(*at as usize), surface.normal(*at as usize).unwrap_or_default())
+        };
+        let elements: Vec<_> = samples.iter().map(element).collect();
+        let points = elements.iter().map(|(point, _)| point.coords);
         let bounds = |(low, high): (Vector3<f32>, Vector3<f32>), point: Vector3<f32>| {
             (low.inf(&point), high.sup(&point))
         };
         let (low, high) =
             points.fold((Vector3::repeat(f32::MAX), Vector3::repeat(f32::MIN)), bounds);
-        Part { segment, pixels, samples, low, high }
+        Part { segment, pixels, samples, elements, low, high }
     };
     all.into_iter().map(part).filter(|part| part.samples.len() >= 8).collect()
 }
 
 /// Whether normals turn towards each other, as in a cup.
-fn is_hollow(surface: &Surface, part: &Part) -> bool {
-    let normal = |at: usize| surface.normal(at).unwrap_or_default();
+fn is_hollow(part: &Part) -> bool {
     let (mut sum, mut turned, mut pairs) = (0.0f32, 0.0f32, 0.0f32);
-    for (number, a) in part.samples.iter().enumerate() {
-        for b in &part.samples[number + 1..] {
-            let (a, b) = (*a as usize, *b as usize);
-            let across = surface.point(a) - surface.point(b);
-            let turn = normal(a) - normal(b);
+    for (number, a) in part.elements.iter().enumerate() {
+        for b in &part.elements[number + 1..] {
+            let (across, turn) = (a.0 - b.0, a.1 - b.1);
             pairs += 1.0;
             if turn.norm() > MIN_TURN {
                 turned += 1.0;
@@ -185,33 +188,25 @@ fn outside(image: &Image<'_>, segments: &[u32], parts: &[Part], part: &Part) -> 
 }
 
 /// Whether two parts are one surface that something in front hides in between.
-fn is_cut_in_two(
-    image: &Image<'_>,
-    surface: &Surface,
-    segments: &[u32],
-    [a, b]: [&Part; 2],
-) -> bool {
+fn is_cut_in_two(image: &Image<'_>, segments: &[u32], [a, b]: [&Part; 2]) -> bool {
     // Halves of a body are seldom farther apart than they are large.
     let apart = (a.low - b.high).sup(&(b.low - a.high)).sup(&Vector3::zeros()).norm();
     if apart > (a.high - a.low).norm() + (b.high - b.low).norm() {
         return false;
     }
-    let normal = |at: u32| surface.normal(at as usize).unwrap_or_default();
     let mut pairs = Vec::new();
     let mut partners = [vec![0usize; a.samples.len()], vec![0usize; b.samples.len()]];
-    for (i, from) in a.samples.iter().enumerate() {
-        let (p, n) = (surface.point(*from as usize), normal(*from));
-        for (j, to) in b.samples.iter().enumerate() {
-            let (q, m) = (surface.point(*to as usize), normal(*to));
-            if n.dot(&m) < ALIKE {
+    for (i, (p, n)) in a.elements.iter().enumerate() {
+        for (j, (q, m)) in b.elements.iter().enumerate() {
+            if n.dot(m) < ALIKE {
                 continue;
             }
             let across = q - p;
             let within = TANGENT[0] + TANGENT[1] * across.norm();
-            if across.dot(&n).abs() < within && across.dot(&m).abs() < within {
+            if across.dot(n).abs() < within && across.dot(m).abs() < within {
                 partners[0][i] += 1;
                 partners[1][j] += 1;
-                pairs.push((*from, *to));
+                pairs.push([*p, *q]);
             }
         }
     }
@@ -224,8 +219,7 @@ fn is_cut_in_two(
     }
     let step = pairs.len().div_ceil(MAX_LINES).max(1);
     let (mut behind, mut in_front, mut all) = (0.0f32, 0.0f32, 0.0f32);
-    for (from, to) in pairs.into_iter().step_by(step) {
-        let ends = [from, to].map(|at| surface.point(at as usize));
+    for ends in pairs.into_iter().step_by(step) {
         for step in 1..LINE_PIXELS {
             let share = step as f32 / LINE_PIXELS as f32;
             let Some((at, z)) = between(image, ends, share) else { continue };

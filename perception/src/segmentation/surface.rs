@@ -221,6 +221,7 @@ impl Surface {
 const WAYS: [[i64; 2]; 8] = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [1, -1], [-1, 1], [-1, -1]];
 
 /// The numbers of a block that begins here; 0 beyond the end, which no block inside an image reaches.
+#[inline]
 fn lanes<T: Copy + Default>(numbers: &[T], start: usize) -> [T; LANES] {
     numbers
         .get(start..start + LANES)

@@ -12,7 +12,7 @@ use nalgebra::{Matrix6, Point3, Vector3, Vector6};
 
 use super::motion::{Motion, matrix};
 use super::sampling::Sample;
-use super::surface::Surface;
+use super::surface::{Remembered, Surface};
 
 /// Gauss-Newton steps, at most.
 const MAX_STEPS: usize = 14;
@@ -120,9 +120,20 @@ impl Equations {
     }
 
     fn add(&mut self, correspondence: &Correspondence) {
-        self.h +=
-            correspondence.gradient * correspondence.gradient.transpose() * correspondence.weight;
-        self.b += correspondence.gradient * (correspondence.distance * correspondence.weight);
+        let Correspondence { gradient, weight, .. } = correspondence;
+        // The matrix is symmetric: the other triangle is filled in the end.
+        for column in 0..6 {
+            for row in column..6 {
+                self.h[(row, column)] += gradient[row] * gradient[column] * weight;
+            }
+        }
+        self.b += gradient * (correspondence.distance * weight);
+    }
+
+    /// With the upper triangle as the lower one.
+    fn filled(mut self) -> Self {
+        self.h.fill_upper_triangle_with_lower_triangle();
+        self
     }
 }
 
@@ -186,10 +197,12 @@ fn search(
     let sum: Vector3<f64> = samples.iter().map(|sample| sample.point.coords.cast::<f64>()).sum();
     let mean = sum / samples.len().max(1) as f64;
     let mut correspondences = Vec::with_capacity(samples.len());
+    let mut nearest = vec![Remembered::NONE; samples.len()];
     let mut last = None;
     for step in 0..MAX_STEPS {
         let at = moved(prior, &delta);
-        find_correspondences(surface, centre, samples, &at, &gate, &mut correspondences);
+        let matched = (samples, nearest.as_mut_slice());
+        find_correspondences(surface, centre, matched, &at, &gate, &mut correspondences);
         let on_surface =
             correspondences.iter().filter(|correspondence| !correspondence.is_boundary).count();
         if on_surface < MIN_CORRESPONDENCES.min(samples.len()) || on_surface < 4 {
@@ -217,12 +230,12 @@ fn search(
         // Larger residuals than expected, and errors that neighbours share, lower the information.
         let confidence =
             f64::min(1.0, MAX_EFFECTIVE_CORRESPONDENCES / kept) / residual.max(1.0).powi(2);
-        let mut boundary = boundary.times(BOUNDARY_WEIGHT);
+        let mut boundary = boundary.filled().times(BOUNDARY_WEIGHT);
         if let Some(centroid) = centroid {
             centroid.add_to(&mut boundary, &mean, &at);
         }
         let (Equations { h, b }, compared) =
-            observable_part(&all.times(confidence), &boundary, (0.5 * lever).max(1e-6));
+            observable_part(&all.filled().times(confidence), &boundary, (0.5 * lever).max(1e-6));
         let change = (h + prior_information).cholesky()?.solve(&(b - prior_information * delta));
         // Rotations are linearised, which holds up to about .3 rad: larger steps are shortened.
         let share = (0.3 / change.fixed_rows::<3>(3).norm()).min(1.0);
@@ -264,7 +277,9 @@ pub(super) fn misfit(
 ) -> f64 {
     let mut correspondences = Vec::with_capacity(samples.len());
     let gate = Gate { extra_m: 0.0, scale: 1.0 };
-    find_correspondences(surface, centre, samples, at, &gate, &mut correspondences);
+    let mut nearest = vec![Remembered::NONE; samples.len()];
+    let matched = (samples, nearest.as_mut_slice());
+    find_correspondences(surface, centre, matched, at, &gate, &mut correspondences);
     let on = correspondences.iter().filter(|one| !one.is_boundary);
     let squares: Vec<f64> =
         on.map(|one| (one.distance * one.distance * one.weight).min(MAX_SQUARE)).collect();
@@ -314,7 +329,7 @@ struct Gate {
 fn find_correspondences(
     surface: &Surface,
     centre: &Point3<f32>,
-    samples: &[Sample],
+    (samples, nearest): (&[Sample], &mut [Remembered]),
     at: &Motion,
     gate: &Gate,
     correspondences: &mut Vec<Correspondence>,
@@ -324,10 +339,10 @@ fn find_correspondences(
     let inverse = rotation.transpose().cast::<f32>();
     let origin = at.centre.cast::<f32>();
     let max_tangential = MAX_TANGENTIAL_CELLS * surface.cell_m() + gate.extra_m as f32;
-    for sample in samples {
+    for (sample, remembered) in samples.iter().zip(nearest) {
         let local = Point3::from(inverse * (sample.point.coords - origin)) + centre.coords;
         // An empty surface has no correspondences.
-        let Some(near) = surface.nearest(&local) else { return };
+        let Some(near) = surface.nearest_from(&local, remembered) else { return };
         let surfel = near.surfel;
         if (inverse * sample.normal).dot(&surfel.normal) < MIN_NORMAL_COSINE {
             continue;

@@ -293,11 +293,18 @@ impl Sampler {
                 let at = v * width + u;
                 let z = f32::from(*steps) * view.scale_m;
                 self.all_m[at] = z;
-                let deviation = total_m(noise.deviation_m(*steps), smooth, z);
                 let x = (u as f32 - cx) / fx;
-                let is_plane = planes.iter().any(|plane| {
+                let height = |plane: &CameraPlane| {
                     let along = plane.normal.x * x + plane.normal.y * y + plane.normal.z;
-                    let height = z * along - plane.offset;
+                    (along, z * along - plane.offset)
+                };
+                // Most pixels are this near, whatever their deviation is.
+                if planes.iter().any(|plane| height(plane).1 < PLANE_M) {
+                    continue;
+                }
+                let deviation = total_m(noise.deviation_m(*steps), smooth, z);
+                let is_plane = planes.iter().any(|plane| {
+                    let (along, height) = height(plane);
                     // Points behind a plane are no body either: they are mirror images, or noise of distant ground.
                     height < DEVIATIONS * deviation * along.abs() + PLANE_M
                 });

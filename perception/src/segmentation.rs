@@ -33,6 +33,8 @@ const MIN_CORE_SHARE: f32 = 0.1;
 /// Buffers that keep their memory from image to image.
 #[derive(Debug, Default)]
 pub(super) struct Segmenter {
+    /// Those of no plane, ascending.
+    pixels: Vec<u32>,
     /// (height * width) Union-find forest of components.
     components: Vec<u32>,
     /// (height * width) Union-find forest of cores.
@@ -47,13 +49,16 @@ pub(super) struct Segmenter {
 impl Segmenter {
     /// Bytes that an image of so many pixels takes for each, with what is only there meanwhile.
     pub(super) fn bytes_a_pixel(pixels: usize) -> usize {
-        // Components, sizes, what is above a tabletop; then cores, their sizes, edges, points, normals and lists of pixels.
-        if pixels <= MAX_FITTED_PIXELS { 9 + 41 } else { 9 }
+        // Pixels, components, sizes, what is above a tabletop; then cores, their sizes, edges, points, normals and lists of pixels.
+        if pixels <= MAX_FITTED_PIXELS { 13 + 41 } else { 13 }
     }
 
     /// The segment of each pixel, as the number of its first pixel; [`NONE`] for pixels of no body.
     pub(super) fn segment(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
         let is_fitted = image.depth_m.len() <= MAX_FITTED_PIXELS;
+        let depths = image.depth_m.iter().enumerate();
+        self.pixels.clear();
+        self.pixels.extend(depths.filter(|(_, m)| **m > 0.0).map(|(at, _)| at as u32));
         self.connect_components(image, |_, _| true);
         if is_fitted {
             let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
@@ -78,10 +83,9 @@ impl Segmenter {
     /// Connects the pixels of no plane that may be of one body.
     fn connect_components(&mut self, image: &Image<'_>, is_one: impl Fn(usize, usize) -> bool) {
         self.components.clear();
-        let depths = image.depth_m.iter().enumerate();
-        self.components
-            .extend(depths.map(|(at, depth_m)| if *depth_m > 0.0 { at as u32 } else { NONE }));
-        connect(image, &mut self.components, 1, is_one);
+        self.components.resize(image.depth_m.len(), NONE);
+        self.pixels.iter().for_each(|at| self.components[*at as usize] = *at);
+        connect(image, &self.pixels, &mut self.components, 1, is_one);
     }
 
     /// Cuts components at edges, where these are known.
@@ -93,11 +97,12 @@ impl Segmenter {
         }
         self.find_cores(image);
         segments.extend_from_slice(&self.cores);
-        grow(image, &self.components, segments);
+        grow(image, &self.pixels, &self.components, segments);
         // What has no core is one body.
-        for (segment, component) in segments.iter_mut().zip(&self.components) {
-            if *segment == NONE {
-                *segment = *component;
+        for at in &self.pixels {
+            let at = *at as usize;
+            if segments[at] == NONE {
+                segments[at] = self.components[at];
             }
         }
     }
@@ -107,9 +112,10 @@ impl Segmenter {
         let first = &mut self.sizes;
         first.clear();
         first.resize(segments.len(), NONE);
-        for (at, segment) in segments.iter_mut().enumerate() {
+        for at in &self.pixels {
+            let segment = &mut segments[*at as usize];
             if let Some(first) = first.get_mut(*segment as usize) {
-                *first = (*first).min(at as u32);
+                *first = (*first).min(*at);
                 *segment = *first;
             }
         }
@@ -117,33 +123,33 @@ impl Segmenter {
 
     /// Leaves the root of its core at each pixel that has one.
     fn find_cores(&mut self, image: &Image<'_>) {
-        let roots = self.components.iter().zip(&self.is_edge).enumerate();
         self.cores.clear();
-        self.cores.extend(roots.map(
-            |(at, (component, is_edge))| {
-                if *component == NONE || *is_edge { NONE } else { at as u32 }
-            },
-        ));
+        self.cores.resize(self.components.len(), NONE);
+        for at in self.pixels.iter().filter(|at| !self.is_edge[**at as usize]) {
+            self.cores[*at as usize] = *at;
+        }
         // A step of two bridges a pixel that was not measured.
         let components = &self.components;
-        connect(image, &mut self.cores, 2, |a, b| components[a] == components[b]);
+        connect(image, &self.pixels, &mut self.cores, 2, |a, b| components[a] == components[b]);
         self.sizes.clear();
         self.sizes.resize(self.cores.len(), 0);
         let mut whole = vec![0u32; self.cores.len()];
-        for (core, component) in self.cores.iter().zip(&self.components) {
-            if let Some(size) = self.sizes.get_mut(*core as usize) {
+        for at in &self.pixels {
+            let at = *at as usize;
+            if let Some(size) = self.sizes.get_mut(self.cores[at] as usize) {
                 *size += 1;
             }
-            if let Some(size) = whole.get_mut(*component as usize) {
+            if let Some(size) = whole.get_mut(self.components[at] as usize) {
                 *size += 1;
             }
         }
-        for (core, component) in self.cores.iter_mut().zip(&self.components) {
+        for at in &self.pixels {
+            let at = *at as usize;
             let of = |sizes: &[u32], root: u32| sizes.get(root as usize).copied().unwrap_or(0);
-            let share = MIN_CORE_SHARE * of(&whole, *component) as f32;
+            let share = MIN_CORE_SHARE * of(&whole, self.components[at]) as f32;
             let needed = (share as u32).clamp(MIN_CORE[0], MIN_CORE[1]);
-            if of(&self.sizes, *core) < needed {
-                *core = NONE;
+            if of(&self.sizes, self.cores[at]) < needed {
+                self.cores[at] = NONE;
             }
         }
     }
@@ -167,12 +173,14 @@ fn root(forest: &mut [u32], mut at: u32) -> u32 {
 /// both may be of one body. In the end each has its root, which is the first pixel.
 fn connect(
     image: &Image<'_>,
+    pixels: &[u32],
     forest: &mut [u32],
     steps: usize,
     is_one: impl Fn(usize, usize) -> bool,
 ) {
     let width = image.width.max(1);
-    for at in 0..forest.len() {
+    for at in pixels {
+        let at = *at as usize;
         if forest[at] == NONE {
             continue;
         }
@@ -199,7 +207,8 @@ fn connect(
             }
         }
     }
-    for at in 0..forest.len() {
+    for at in pixels {
+        let at = *at as usize;
         if forest[at] != NONE {
             forest[at] = root(forest, at as u32);
         }
@@ -207,21 +216,21 @@ fn connect(
 }
 
 /// Segments grow over the pixels of their components that have none, layer by layer.
-fn grow(image: &Image<'_>, components: &[u32], segments: &mut [u32]) {
-    let (width, pixels) = (image.width.max(1), segments.len());
+fn grow(image: &Image<'_>, pixels: &[u32], components: &[u32], segments: &mut [u32]) {
+    let (width, end) = (image.width.max(1), segments.len());
     let beside = |at: usize| {
         let u = at % width;
         let left = (u > 0).then(|| at.wrapping_sub(1));
         let right = (u + 1 < width).then_some(at + 1);
-        let below = Some(at + width).filter(|at| *at < pixels);
+        let below = Some(at + width).filter(|at| *at < end);
         [left, right, at.checked_sub(width), below].into_iter().flatten()
     };
     let is_open = |segments: &[u32], at: usize| segments[at] == NONE && components[at] != NONE;
-    let mut front: Vec<u32> = (0..pixels)
-        .filter(|at| is_open(segments, *at))
-        .filter(|at| beside(*at).any(|other| segments[other] != NONE))
-        .map(|at| at as u32)
-        .collect();
+    let is_front = |at: &u32| {
+        let at = *at as usize;
+        is_open(segments, at) && beside(at).any(|other| segments[other] != NONE)
+    };
+    let mut front: Vec<u32> = pixels.iter().copied().filter(is_front).collect();
     let mut taken = Vec::new();
     while !front.is_empty() {
         taken.clear();

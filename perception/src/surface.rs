@@ -1,6 +1,7 @@
 //! The observed surface of a unit: surfels (small plane elements) in the unit's frame, and the reference points that are made of them.
 
 use std::collections::HashMap;
+use std::num::NonZeroUsize;
 use std::sync::Arc;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
@@ -38,6 +39,9 @@ pub(super) struct Surfel {
     free_captures: u8,
 }
 
+const TWO: NonZeroUsize = NonZeroUsize::new(2).unwrap();
+/// Error of a distance by rounding, in lengths of its size.
+const ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// Least cosine between normals of elements of one side.
 const SAME_SIDE: f32 = 0.5;
 /// Radius of a ball inside a mesh, in that of the ball around it, from which the mesh is a ball's.
@@ -67,6 +71,20 @@ pub(super) struct Surface {
 pub(super) struct Nearest<'s> {
     pub(super) surfel: &'s Surfel,
     pub(super) square_m2: f32,
+}
+
+/// The surfel nearest to a point, and how far the point may go until another may be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Remembered {
+    point: Point3<f32>,
+    at: u32,
+    /// Metres; less than 0 where nothing is remembered.
+    slack_m: f32,
+}
+
+impl Remembered {
+    pub(super) const NONE: Self =
+        Remembered { point: Point3::new(0.0, 0.0, 0.0), at: 0, slack_m: -1.0 };
 }
 
 impl Surface {
@@ -149,6 +167,34 @@ impl Surface {
         let found = tree.query(&query).nearest_one::<SquaredEuclidean<f32>>().execute();
         let surfel = self.surfels.get(found.item as usize)?;
         Some(Nearest { surfel, square_m2: found.distance })
+    }
+
+    /// The same as [`nearest`](Self::nearest). It searches only where the point has moved so far that another surfel may be nearest.
+    pub(super) fn nearest_from(
+        &self,
+        point: &Point3<f32>,
+        remembered: &mut Remembered,
+    ) -> Option<Nearest<'_>> {
+        let is_near = (point - remembered.point).norm() <= remembered.slack_m;
+        if !is_near {
+            *remembered = self.nearest_two(point)?;
+        }
+        let surfel = self.surfels.get(remembered.at as usize)?;
+        Some(Nearest { surfel, square_m2: (point - surfel.point).norm_squared() })
+    }
+
+    fn nearest_two(&self, point: &Point3<f32>) -> Option<Remembered> {
+        let tree = self.tree.as_ref()?;
+        let query = [point.x, point.y, point.z];
+        let two = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(TWO).execute();
+        let first = two.first()?;
+        // The nearest comes closer by at most the way of the point, and the next one too.
+        let way = two
+            .get(1)
+            .map_or(f32::MAX, |next| 0.5 * (next.distance.sqrt() - first.distance.sqrt()));
+        // Distances are rounded.
+        let slack_m = way - ROUNDING * (first.distance.sqrt() + self.radius_m);
+        Some(Remembered { point: *point, at: first.item as u32, slack_m })
     }
 
     /// Adds the observations of a capture: points, normals and the deviation along them, in the unit's frame.

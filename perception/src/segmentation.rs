@@ -15,6 +15,8 @@ mod joining;
 mod parting;
 mod surface;
 
+use std::ops::Range;
+
 pub(super) use image::{Image, NONE, Tabletops};
 use surface::Surface;
 
@@ -30,11 +32,33 @@ const MAX_FITTED_PIXELS: usize = 4 << 20;
 const MIN_CORE: [u32; 2] = [30, 400];
 const MIN_CORE_SHARE: f32 = 0.1;
 
+/// Of each row, the pixels from the first to the last of no plane.
+// Bodies fill a part of an image, and most steps look at nothing else.
+#[derive(Debug, Default)]
+struct Pixels(Vec<Range<usize>>);
+
+impl Pixels {
+    fn find(&mut self, image: &Image<'_>) {
+        let width = image.width.max(1);
+        self.0.clear();
+        let rows = image.depth_m.chunks(width).enumerate();
+        self.0.extend(rows.filter_map(|(v, row)| {
+            let first = row.iter().position(|depth_m| *depth_m > 0.0)?;
+            let last = row.iter().rposition(|depth_m| *depth_m > 0.0)?;
+            Some(v * width + first..v * width + last + 1)
+        }));
+    }
+
+    /// Ascending.
+    fn iter(&self) -> impl Iterator<Item = usize> {
+        self.0.iter().cloned().flatten()
+    }
+}
+
 /// Buffers that keep their memory from image to image.
 #[derive(Debug, Default)]
 pub(super) struct Segmenter {
-    /// Those of no plane, ascending.
-    pixels: Vec<u32>,
+    pixels: Pixels,
     /// (height * width) Union-find forest of components.
     components: Vec<u32>,
     /// (height * width) Union-find forest of cores.
@@ -49,16 +73,14 @@ pub(super) struct Segmenter {
 impl Segmenter {
     /// Bytes that an image of so many pixels takes for each, with what is only there meanwhile.
     pub(super) fn bytes_a_pixel(pixels: usize) -> usize {
-        // Pixels, components, sizes, what is above a tabletop; then cores, their sizes, edges, points, normals and lists of pixels.
-        if pixels <= MAX_FITTED_PIXELS { 13 + 41 } else { 13 }
+        // Components, sizes, what is above a tabletop; then cores, their sizes, edges, points, normals and lists of pixels.
+        if pixels <= MAX_FITTED_PIXELS { 9 + 41 } else { 9 }
     }
 
     /// The segment of each pixel, as the number of its first pixel; [`NONE`] for pixels of no body.
     pub(super) fn segment(&mut self, image: &Image<'_>, segments: &mut Vec<u32>) {
         let is_fitted = image.depth_m.len() <= MAX_FITTED_PIXELS;
-        let depths = image.depth_m.iter().enumerate();
-        self.pixels.clear();
-        self.pixels.extend(depths.filter(|(_, m)| **m > 0.0).map(|(at, _)| at as u32));
+        self.pixels.find(image);
         self.connect_components(image, |_, _| true);
         if is_fitted {
             let reach = (REACH_RAD * image.focal[0].min(image.focal[1])).round() as usize;
@@ -84,7 +106,9 @@ impl Segmenter {
     fn connect_components(&mut self, image: &Image<'_>, is_one: impl Fn(usize, usize) -> bool) {
         self.components.clear();
         self.components.resize(image.depth_m.len(), NONE);
-        self.pixels.iter().for_each(|at| self.components[*at as usize] = *at);
+        for at in self.pixels.iter().filter(|at| image.depth_m[*at] > 0.0) {
+            self.components[at] = at as u32;
+        }
         connect(image, &self.pixels, &mut self.components, 1, is_one);
     }
 
@@ -99,8 +123,7 @@ impl Segmenter {
         segments.extend_from_slice(&self.cores);
         grow(image, &self.pixels, &self.components, segments);
         // What has no core is one body.
-        for at in &self.pixels {
-            let at = *at as usize;
+        for at in self.pixels.iter() {
             if segments[at] == NONE {
                 segments[at] = self.components[at];
             }
@@ -112,10 +135,10 @@ impl Segmenter {
         let first = &mut self.sizes;
         first.clear();
         first.resize(segments.len(), NONE);
-        for at in &self.pixels {
-            let segment = &mut segments[*at as usize];
+        for at in self.pixels.iter() {
+            let segment = &mut segments[at];
             if let Some(first) = first.get_mut(*segment as usize) {
-                *first = (*first).min(*at);
+                *first = (*first).min(at as u32);
                 *segment = *first;
             }
         }
@@ -125,8 +148,10 @@ impl Segmenter {
     fn find_cores(&mut self, image: &Image<'_>) {
         self.cores.clear();
         self.cores.resize(self.components.len(), NONE);
-        for at in self.pixels.iter().filter(|at| !self.is_edge[**at as usize]) {
-            self.cores[*at as usize] = *at;
+        for at in self.pixels.iter() {
+            if self.components[at] != NONE && !self.is_edge[at] {
+                self.cores[at] = at as u32;
+            }
         }
         // A step of two bridges a pixel that was not measured.
         let components = &self.components;
@@ -134,8 +159,7 @@ impl Segmenter {
         self.sizes.clear();
         self.sizes.resize(self.cores.len(), 0);
         let mut whole = vec![0u32; self.cores.len()];
-        for at in &self.pixels {
-            let at = *at as usize;
+        for at in self.pixels.iter() {
             if let Some(size) = self.sizes.get_mut(self.cores[at] as usize) {
                 *size += 1;
             }
@@ -143,8 +167,7 @@ impl Segmenter {
                 *size += 1;
             }
         }
-        for at in &self.pixels {
-            let at = *at as usize;
+        for at in self.pixels.iter() {
             let of = |sizes: &[u32], root: u32| sizes.get(root as usize).copied().unwrap_or(0);
             let share = MIN_CORE_SHARE * of(&whole, self.components[at]) as f32;
             let needed = (share as u32).clamp(MIN_CORE[0], MIN_CORE[1]);
@@ -173,14 +196,13 @@ fn root(forest: &mut [u32], mut at: u32) -> u32 {
 /// both may be of one body. In the end each has its root, which is the first pixel.
 fn connect(
     image: &Image<'_>,
-    pixels: &[u32],
+    pixels: &Pixels,
     forest: &mut [u32],
     steps: usize,
     is_one: impl Fn(usize, usize) -> bool,
 ) {
     let width = image.width.max(1);
-    for at in pixels {
-        let at = *at as usize;
+    for at in pixels.iter() {
         if forest[at] == NONE {
             continue;
         }
@@ -207,8 +229,7 @@ fn connect(
             }
         }
     }
-    for at in pixels {
-        let at = *at as usize;
+    for at in pixels.iter() {
         if forest[at] != NONE {
             forest[at] = root(forest, at as u32);
         }
@@ -216,7 +237,7 @@ fn connect(
 }
 
 /// Segments grow over the pixels of their components that have none, layer by layer.
-fn grow(image: &Image<'_>, pixels: &[u32], components: &[u32], segments: &mut [u32]) {
+fn grow(image: &Image<'_>, pixels: &Pixels, components: &[u32], segments: &mut [u32]) {
     let (width, end) = (image.width.max(1), segments.len());
     let beside = |at: usize| {
         let u = at % width;
@@ -226,11 +247,9 @@ fn grow(image: &Image<'_>, pixels: &[u32], components: &[u32], segments: &mut [u
         [left, right, at.checked_sub(width), below].into_iter().flatten()
     };
     let is_open = |segments: &[u32], at: usize| segments[at] == NONE && components[at] != NONE;
-    let is_front = |at: &u32| {
-        let at = *at as usize;
-        is_open(segments, at) && beside(at).any(|other| segments[other] != NONE)
-    };
-    let mut front: Vec<u32> = pixels.iter().copied().filter(is_front).collect();
+    let is_front =
+        |at: &usize| is_open(segments, *at) && beside(*at).any(|other| segments[other] != NONE);
+    let mut front: Vec<u32> = pixels.iter().filter(is_front).map(|at| at as u32).collect();
     let mut taken = Vec::new();
     while !front.is_empty() {
         taken.clear();

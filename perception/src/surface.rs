@@ -188,7 +188,7 @@ impl Surface {
         let query = [point.x, point.y, point.z];
         let two = tree.query(&query).nearest_n::<SquaredEuclidean<f32>>(TWO).execute();
         let first = two.first()?;
-        // The nearest comes closer by at most the way of the point, and the next one too.
+        // A way of the point changes every distance by its length at most.
         let way = two
             .get(1)
             .map_or(f32::MAX, |next| 0.5 * (next.distance.sqrt() - first.distance.sqrt()));
@@ -367,6 +367,31 @@ mod tests {
         assert_eq!(&surface.points()[..first.len()], &first[..]);
         let near = surface.nearest(&Point3::new(0.0, 0.0, 0.12)).unwrap();
         assert!((near.surfel.point - Point3::new(0.0, 0.0, 0.1)).norm() < surface.cell_m());
+    }
+
+    #[test]
+    fn what_is_remembered_is_nearest() {
+        let mut surface = Surface::new(0.2);
+        assert!(surface.nearest_from(&Point3::origin(), &mut Remembered::NONE.clone()).is_none());
+        surface.add(0, sphere(700).into_iter());
+        let (mut remembered, mut searches) = (Remembered::NONE, 0);
+        // A way along the sphere and away from it, in steps that grow.
+        for step in 0..400 {
+            let way = (step as f32 * 0.02).powi(2) * 0.01;
+            let (sin, cos) = (5.0 * way).sin_cos();
+            let point = Point3::new(cos * 0.11, sin * 0.11, 0.2 * way);
+            let before = remembered.point;
+            let near = surface.nearest_from(&point, &mut remembered).unwrap();
+            searches += usize::from(remembered.point != before);
+            let right = surface.nearest(&point).unwrap();
+            assert_eq!(near.surfel.point, right.surfel.point, "step {step}");
+            assert!((near.square_m2 - right.square_m2).abs() < 1e-8);
+        }
+        assert!((10..300).contains(&searches), "{searches}");
+        // A single surfel is always nearest.
+        let mut one = Surface::new(0.2);
+        one.add(0, sphere(1).into_iter());
+        assert!(one.nearest_from(&Point3::new(9.0, 9.0, 9.0), &mut remembered).is_some());
     }
 
     #[test]

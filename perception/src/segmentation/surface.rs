@@ -97,7 +97,7 @@ impl Surface {
                 window.blocks(v, |u, number| {
                     let mut moments = [Moments::NONE; LANES];
                     match window.is_inside(u, number) {
-                        true => moments = window.moments_of_block(u, v),
+                        true => moments = window.moments_of_block([u, v]),
                         false => {
                             for (k, moments) in moments.iter_mut().take(number).enumerate() {
                                 *moments = window.moments([u + k, v]);
@@ -306,7 +306,7 @@ impl<'w> Window<'w> {
     }
 
     /// Those of the pixels of a block that [is inside](Self::is_inside).
-    fn moments_of_block(&self, u: usize, v: usize) -> [Moments; LANES] {
+    fn moments_of_block(&self, [u, v]: [usize; 2]) -> [Moments; LANES] {
         let start = v * self.width as usize + u;
         let z: [f32; LANES] = lanes(&self.image.depth_m, start);
         let component: [u32; LANES] = lanes(self.components, start);
@@ -397,6 +397,71 @@ impl<'w> Window<'w> {
         match normal.try_normalize(1e-12) {
             Some(normal) => (ray(1.0 / w), -normal),
             None => none,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rigidformer_runtime::noise::Noise;
+
+    use super::*;
+    use crate::segmentation::image::Tabletops;
+
+    #[test]
+    fn pixels_of_a_block_have_the_bits_of_each_alone() {
+        let (width, height) = (75, 21);
+        let mut noise = Noise::new(5, 0);
+        // A step between two sides, and pixels that were not measured.
+        let depth_m: Vec<f32> = (0..width * height)
+            .map(|at| {
+                let (u, v) = ((at % width) as f32, (at / width) as f32);
+                let side = if u > 40.0 + 0.3 * v { 0.004 * (u - 40.0) } else { 0.2 };
+                if at % 37 == 5 { 0.0 } else { 1.0 + side + 0.01 * v + 0.002 * noise.normal() }
+            })
+            .collect();
+        let components: Vec<u32> = (0..width * height)
+            .map(|at| match depth_m[at] {
+                0.0 => NONE,
+                _ => u32::from(at / width > 9),
+            })
+            .collect();
+        let gap = |z: f32| 0.02 * z;
+        let image = Image {
+            width,
+            focal: [500.0, 510.0],
+            centre: [37.2, 9.8],
+            depth_m: &depth_m,
+            tabletops: Tabletops { up: Vector3::y(), above: &[], level: &[] },
+            all_m: &depth_m,
+            gap: &gap,
+        };
+        for reach in [2, 3, 6] {
+            let mut surface = Surface::default();
+            surface.fit(&image, &components, reach);
+            let window = Window::new(&image, &components, reach);
+            let mut is_edge = Vec::new();
+            surface.edges(&image, &components, reach, &mut is_edge);
+            let mut blocks = 0;
+            for v in 0..height {
+                window.blocks(v, |u, number| blocks += usize::from(window.is_inside(u, number)));
+            }
+            assert!(blocks >= 2 * height, "of {reach}: {blocks}");
+            let mut fitted = 0;
+            for at in 0..width * height {
+                let [u, v] = [at % width, at / width];
+                assert_eq!(is_edge[at], surface.is_edge(&window, [u, v]), "{reach}: {u} {v}");
+                if components[at] == NONE {
+                    assert_eq!(surface.normal(at), None);
+                    continue;
+                }
+                let (point, normal) = window.plane([u, v], &window.moments([u, v]));
+                assert_eq!(surface.point(at), point, "{reach}: {u} {v}");
+                assert_eq!(surface.normal(at).unwrap_or_default(), normal, "{reach}: {u} {v}");
+                fitted += usize::from(normal != Vector3::zeros());
+            }
+            assert!(fitted > width * height / 2, "{fitted}");
+            assert!(is_edge.iter().any(|edge| *edge) && is_edge.iter().any(|edge| !edge));
         }
     }
 }

@@ -155,7 +155,10 @@ fn options(arguments: &Track, source: &mut Source) -> anyhow::Result<(TrackerOpt
         Some(_) => Segmentation::Given,
         None => arguments.segmentation.into(),
     };
-    options.objects = objects::read(arguments, options.density_kg_m3)?;
+    options.objects = match source.scene().filter(|_| arguments.known) {
+        Some(scene) => objects::of_scene(scene)?,
+        None => objects::read(arguments, options.density_kg_m3)?,
+    };
     let [friction, restitution] = arguments.physics[..] else {
         return Err(Usage("--physics needs two numbers, such as 0.5,0.4".into()).into());
     };

@@ -102,6 +102,9 @@ pub(crate) struct Track {
     /// Standard deviation of depths of --render where the units are, millimetres; it grows with the square of the depth
     #[arg(long, value_name = "MM", default_value_t = 1.0, requires = "render", value_parser = deviation)]
     pub(crate) deviation_mm: f32,
+    /// Hulls and masses of the scene's free units are known, as with --object
+    #[arg(long, requires = "render", conflicts_with = "object")]
+    pub(crate) known: bool,
     /// Folder for the results, made if need be [default: none are written with --json, else `track`]
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,

@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use nalgebra::Point3;
+use rigidformer_core::Role;
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
+use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 use rigidformer_perception::capture::{Capture, View};
-use rigidformer_perception::known::{KnownObject, ObjectMesh};
+use rigidformer_perception::known::{KnownObject, ObjectError, ObjectMesh};
 use rigidformer_perception::recording;
 use rigidformer_runtime::mesh::{Group, MassProperties, TriangleMesh};
 
@@ -25,6 +27,23 @@ pub(super) fn read(arguments: &Track, density_kg_m3: f32) -> anyhow::Result<Vec<
         object(&path, arguments.object_scale, mass_kg, density_kg_m3)
     };
     arguments.object.iter().map(one).collect()
+}
+
+/// Hulls of a scene's free units, with their true masses.
+pub(super) fn of_scene(scene: &RecordedScene) -> anyhow::Result<Vec<KnownObject>> {
+    let is_body = |unit: &&RecordedUnit| unit.role == Role::Free && unit.soft.is_none();
+    let free = scene.units().iter().enumerate().filter(|(_, unit)| is_body(unit));
+    free.map(|(number, unit)| {
+        let what = || format!("unit {number}, {}", unit.shape);
+        let hull =
+            TriangleMesh::hull(&unit.points).with_context(|| format!("{}: is flat", what()))?;
+        let mass =
+            hull.mass_properties().with_context(|| format!("{}: encloses no volume", what()))?;
+        let pieces: Vec<Vec<Point3<f32>>> = unit.pieces.iter().map(<[_]>::to_vec).collect();
+        let name = format!("{}-{number}", unit.shape);
+        known(&name, &hull, &pieces, &mass, f64::from(unit.physics.mass_kg)).with_context(what)
+    })
+    .collect()
 }
 
 /// `mug.obj` or `mug.obj=0.35`.
@@ -62,16 +81,27 @@ fn object(
     let mass = mass.with_context(|| format!("{}: encloses no volume", path.display()))?;
     let mass_kg = mass_kg.unwrap_or(mass.volume_m3 * f64::from(density_kg_m3));
     let pieces: Vec<Vec<Point3<f32>>> = pieces.iter().map(<[_]>::to_vec).collect();
-    let object = KnownObject::new(&ObjectMesh {
-        name: &path.file_stem().unwrap_or_default().to_string_lossy(),
+    let name = path.file_stem().unwrap_or_default().to_string_lossy();
+    let object = known(&name, &mesh, &pieces, &mass, mass_kg);
+    object.map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+}
+
+fn known(
+    name: &str,
+    mesh: &TriangleMesh,
+    pieces: &[Vec<Point3<f32>>],
+    mass: &MassProperties,
+    mass_kg: f64,
+) -> Result<KnownObject, ObjectError> {
+    KnownObject::new(&ObjectMesh {
+        name,
         points: &mesh.points,
         triangles: &mesh.triangles,
-        pieces: &pieces,
+        pieces,
         mass_kg,
         centre_m: mass.centre_m,
         inertia_kg_m2: mass.inertia_m5 * (mass_kg / mass.volume_m3),
-    });
-    object.map_err(|error| anyhow::anyhow!("{}: {error}", path.display()))
+    })
 }
 
 #[cfg(feature = "pieces")]

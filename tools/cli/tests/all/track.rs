@@ -117,6 +117,12 @@ fn known_objects_are_found_and_named() {
     let known: Vec<&str> = units.iter().filter_map(|unit| unit["object"].as_str()).collect();
     assert!(known.len() >= 2 && known.iter().all(|name| name.starts_with("unit")), "{units:?}");
 
+    let line: Vec<&str> = render.into_iter().chain(["--known"]).collect();
+    let document: Value = serde_json::from_str(&works(&line)).unwrap();
+    let units = document["units"].as_array().unwrap();
+    assert!(units.iter().filter(|unit| unit["object"].is_string()).count() >= 2, "{units:?}");
+    fails(&["track", SCENE, "--known"], 2, &["--render"]);
+
     let odd = format!("{}=-1", meshes[0]);
     fails(&["track", SCENE, "--render", "--object", &odd], 2, &["--object", "FILE=KG"]);
     let none = path(&folder.path().join("none.stl")).to_owned();

@@ -14,6 +14,7 @@
 //! | [`free_fall`] | the baseline that knows gravity and inertia and nothing else |
 //! | [`health`] | what training saw of a model's inputs, and how often scenes are outside |
 //! | [`paper`] | the published figures to compare with |
+//! | `contact` | numbers of contact that recordings tell, and their file (feature `contact`) |
 //! | [`convex_pieces`] | convex pieces of hollow units |
 //! | [`pivots`] | pivots of recorded scenes |
 //! | `render` | what depth cameras would see of a recorded scene (feature `sensors`) |
@@ -50,6 +51,8 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
 
+#[cfg(feature = "contact")]
+pub mod contact;
 pub mod convex_pieces;
 pub mod figures;
 pub mod fragments;

@@ -253,6 +253,46 @@ pub fn random(
     in_own_environment(|| random_here(name, config, precision, seed))
 }
 
+/// A packed model that moves units as this one does but for its network, which corrects nothing: motion by impulses alone. None where
+/// the model's motion is not by impulses.
+///
+/// # Errors
+/// [`WriteError`] where the configuration is outside the format's limits.
+pub fn without_network(config: &ModelConfig) -> Result<Option<Vec<u8>>, WriteError> {
+    if !config.motion.has_impulses() {
+        return Ok(None);
+    }
+    // The least that a network can be: all of it is computed for nothing.
+    let least = ModelConfig {
+        width: 8,
+        heads: 1,
+        head_dim: 6,
+        blocks: 1,
+        point_width: 8,
+        registers: 0,
+        feed_forward_width: 8,
+        avp_width: 8,
+        film_width: 8,
+        rope_frequencies: 1,
+        scales: Scales::new(&[0]),
+        hidden: Hidden { point: [8, 0], fuse: 8 },
+        directions: Directions::NONE,
+        bonds: 0,
+        scope: rigidformer_weights::Scope::All,
+        ..*config
+    };
+    let written = in_own_environment(|| {
+        let mut all = tensors(&least);
+        for (name, _, fill) in &mut all {
+            if name.starts_with("anchors.head.") {
+                *fill = Fill::Constant(0.0);
+            }
+        }
+        written("impulses alone", &least, &all, Precision::F32, 1)
+    });
+    written.map(Some)
+}
+
 fn random_here(
     name: &str,
     config: &ModelConfig,
@@ -261,9 +301,18 @@ fn random_here(
 ) -> Result<Vec<u8>, WriteError> {
     // Sizes that are out of range could ask for more memory than there is.
     config.validate()?;
-    let all = tensors(config);
+    written(name, config, &tensors(config), precision, seed)
+}
+
+fn written(
+    name: &str,
+    config: &ModelConfig,
+    all: &[(String, Shape, Fill)],
+    precision: Precision,
+    seed: u64,
+) -> Result<Vec<u8>, WriteError> {
     let stored: Vec<Stored> = (1..)
-        .zip(&all)
+        .zip(all)
         .map(|(index, (name, shape, fill))| {
             store(name, *shape, *fill, precision, mix(seed.wrapping_add(mix(index))))
         })

@@ -409,6 +409,21 @@ impl RecordedScene {
         Self { planes: Some(planes), ..self }
     }
 
+    /// The same scene with other units and planes, which are checked as those of a new one.
+    #[cfg(feature = "contact")]
+    pub(crate) fn with_parts(
+        &self,
+        units: Vec<RecordedUnit>,
+        planes: Option<Vec<Plane>>,
+    ) -> Result<Self, SceneError> {
+        let kind = (self.seed, self.split);
+        let new =
+            Self::checked(self.name.clone(), kind, self.frame_rate_hz, self.gravity_m_s2, units)?;
+        let new = planes.map_or(Ok(new.clone()), |planes| new.with_planes(planes))?;
+        let Self { commands, pivots, mesh, bonds, .. } = self.clone();
+        Ok(Self { commands, pivots, mesh, bonds, ..new })
+    }
+
     /// The same scene with a command of `size` numbers per frame, `values` (frames, size).
     ///
     /// # Errors

@@ -1,6 +1,7 @@
-//! Planners and identification.
+//! Planners, identification and calibration.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod calibrate;
 mod examples;
 mod identify;
 mod planner;

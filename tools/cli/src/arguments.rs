@@ -1,5 +1,6 @@
 //! The command line.
 
+mod calibrate;
 mod import;
 mod inspect;
 mod model;
@@ -14,6 +15,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::Dataset;
 
+pub(crate) use calibrate::{Calibrate, Contact};
 pub(crate) use import::Import;
 #[cfg(feature = "import")]
 pub(crate) use import::{RepeatsName, UpAxis};
@@ -53,11 +55,13 @@ fn bytes(text: &str) -> Result<u64, String> {
 /// Exit codes, and what this build only refuses.
 fn after_help() -> String {
     let with_features = [
+        ("calibrate", cfg!(feature = "calibrate")),
         ("identify", cfg!(feature = "identify")),
         ("import", cfg!(feature = "import")),
         ("pieces", cfg!(feature = "pieces")),
         ("render", cfg!(feature = "sensors")),
         ("track", cfg!(feature = "sensors")),
+        ("--contact", cfg!(feature = "calibrate")),
         ("--gltf", cfg!(feature = "viewers")),
         ("--html", cfg!(feature = "viewers")),
         ("--mcap", cfg!(feature = "viewers")),
@@ -90,6 +94,8 @@ pub(crate) enum Command {
     Import(Box<Import>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
+    /// Fit contact's numbers to many recorded scenes: friction, restitution, table, inertia
+    Calibrate(Calibrate),
     /// Record what depth cameras would see of a scene, with their noise
     Render(Render),
     /// Follow the units of a recording of depth cameras or scanners, and predict them
@@ -130,6 +136,8 @@ pub(crate) struct Rollout {
     pub(crate) index: Option<usize>,
     #[command(flatten)]
     pub(crate) model: Model,
+    #[command(flatten)]
+    pub(crate) contact: Contact,
     /// Frames of the record between two predictions; frames 0 and S are observed [default: 10; 5 with soft units or bonds]
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) step: Option<u32>,
@@ -170,6 +178,7 @@ their velocity and of a body that is carried on rigidly.
 
 Examples:
   rigidformer evaluate cube-tosses.safetensors --steps 2 --picture toss.png
+  rigidformer evaluate cube-tosses.safetensors --steps 2 --contact contact.toml --without-network
   rigidformer evaluate g1-test.safetensors --model g1.rfm --neighbours g1.safetensors
   rigidformer evaluate wrecking-216.safetensors --steps 8
   rigidformer evaluate movi-a.safetensors
@@ -185,6 +194,11 @@ pub(crate) struct Evaluate {
     pub(crate) split: SplitName,
     #[command(flatten)]
     pub(crate) model: Model,
+    /// Impulses alone: the model's motion without what its network corrects
+    #[arg(long)]
+    pub(crate) without_network: bool,
+    #[command(flatten)]
+    pub(crate) contact: Contact,
     /// Step codes, with commas between [default: 1,5,10; of robots 10]
     #[arg(long, value_name = "S", value_delimiter = ',')]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=100))]
@@ -466,6 +480,8 @@ pub(crate) struct Identify {
     pub(crate) scenes: PathBuf,
     #[command(flatten)]
     pub(crate) model: Model,
+    #[command(flatten)]
+    pub(crate) contact: Contact,
     /// Which scene of the file, from 0 [default: all of the split, each by itself]
     #[arg(long, value_name = "I", conflicts_with_all = ["split", "limit", "same_body"])]
     pub(crate) index: Option<usize>,

@@ -2,10 +2,12 @@
 
 use std::path::Path;
 
+use rigidformer_evaluation::models::random;
 use rigidformer_evaluation::scenes::{Dataset, SceneError};
 use rigidformer_runtime::models::LoadedModel;
 
 use crate::arguments::Model;
+use crate::usage::Usage;
 
 static SCENE: &[u8] = include_bytes!("../scenes/default.safetensors");
 
@@ -28,6 +30,21 @@ pub fn model(model: &Model) -> anyhow::Result<LoadedModel> {
     }
 }
 
+/// The model without its network: impulses alone.
+///
+/// # Errors
+/// Where its motion is not by impulses.
+pub(crate) fn without_network(loaded: &LoadedModel) -> anyhow::Result<LoadedModel> {
+    let of = loaded.model();
+    let Some(packed) = random::without_network(of.config())? else {
+        let (name, remedy) = (of.file().name(), "give one of rigid bodies, or leave it out");
+        let problem =
+            format!("--without-network: {name} does not move units by impulses; {remedy}");
+        return Err(Usage(problem).into());
+    };
+    Ok(LoadedModel::copy_of("<impulses alone>", &packed)?)
+}
+
 #[cfg(feature = "default-model")]
 fn embedded() -> anyhow::Result<LoadedModel> {
     Ok(LoadedModel::embedded("<default model>", rigidformer_weights::EDGE)?)
@@ -36,8 +53,5 @@ fn embedded() -> anyhow::Result<LoadedModel> {
 #[cfg(not(feature = "default-model"))]
 fn embedded() -> anyhow::Result<LoadedModel> {
     let remedy = "give one with --model, or build with the feature `default-model`";
-    Err(crate::usage::Usage(format!(
-        "--model: this program was built without a default model; {remedy}"
-    ))
-    .into())
+    Err(Usage(format!("--model: this program was built without a default model; {remedy}")).into())
 }

@@ -14,7 +14,7 @@ use crate::commanded::Drive;
 use crate::csv_text::CsvText;
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
-use crate::{defaults, interrupt, output, picture};
+use crate::{contact, defaults, interrupt, output, picture};
 
 /// Where a rollout ends unless told otherwise.
 const LAST_FRAME: u32 = 300;
@@ -54,6 +54,7 @@ pub(crate) fn run(
     }
     // Frames 0 and S alone are seen.
     let scene = dataset.scene(index, Some(step as usize + 1))?;
+    let scene = contact::applied_to(&arguments.contact, scene)?;
     let frames = scene.frames();
     let scene = scene.with_commands(size, command.repeat(frames))?;
     let scene = if arguments.join { joined(scene, step as usize)? } else { scene };

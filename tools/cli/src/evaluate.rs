@@ -15,12 +15,13 @@ use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::{open_loop_on, rollout_on};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
 use crate::arguments::{Evaluate, usual_step};
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
-use crate::{defaults, interrupt, output};
+use crate::{contact, defaults, interrupt, output};
 use fragments::Fragments;
 use metric::{Metric, Task};
 use rigid::Rigid;
@@ -49,7 +50,8 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let viewers = Viewers::open(&arguments.viewers)?;
     let inputs = || {
         let paths = std::iter::once(&arguments.dataset).chain(&arguments.model.path);
-        paths.chain(&arguments.neighbours).map(|path| path.as_path())
+        let more = arguments.neighbours.iter().chain(&arguments.contact.path);
+        paths.chain(more).map(|path| path.as_path())
     };
     viewers.apart_from(inputs())?;
     if let Some(picture) = &arguments.picture {
@@ -69,6 +71,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let first = || dataset.scenes_of(Split::from(arguments.split)).first().copied();
     let scene = dataset.scene(arguments.index.or_else(first).unwrap_or(0), None)?;
+    let scene = contact::applied_to(&arguments.contact, scene)?;
     let mut made = measure(arguments, cancelled)?;
     made.extend(viewers.made(&moving(arguments, &dataset, scene, cancelled)?)?);
     interrupt::check()?;
@@ -83,7 +86,7 @@ fn moving(
     cancelled: &AtomicBool,
 ) -> anyhow::Result<Moving> {
     let step = arguments.steps.last().copied().unwrap_or_else(|| usual_step(dataset));
-    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let loaded = model(arguments)?;
     let engine = Engine::new()?;
     let progress = Progress { cancelled, ..Progress::none() };
     let poses_are = format!("predicted by {}, step {step}", loaded.model().file().name());
@@ -96,6 +99,16 @@ fn moving(
     let last = u32::try_from(scene.frames().saturating_sub(1))?;
     let rollout = rollout_on(engine, &loaded, &scene, step, last - last % step, progress)?;
     Ok(Moving::of_rollout(&scene, poses_are, &rollout))
+}
+
+/// What predicts.
+fn model(arguments: &Evaluate) -> anyhow::Result<LoadedModel> {
+    let loaded = defaults::model(&arguments.model)?;
+    let loaded = match arguments.without_network {
+        true => defaults::without_network(&loaded)?,
+        false => loaded,
+    };
+    Ok(loaded.for_host()?)
 }
 
 fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<Made> {
@@ -120,7 +133,8 @@ fn run_metric<M: Metric>(
     let split = Split::from(arguments.split);
     let progress = Progress { cancelled, ..Progress::none() };
     let scenes = M::load(dataset, split, arguments.limit, progress)?;
-    let loaded = defaults::model(&arguments.model)?.for_host()?;
+    let scenes = contact::applied(&arguments.contact, scenes)?;
+    let loaded = model(arguments)?;
     let steps = arguments.steps_or(M::STEPS);
     let task = Task { arguments, dataset, split, scenes: &scenes, loaded: &loaded, steps };
     M::check(&task)?;

@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::Identify;
 use crate::usage::Usage;
-use crate::{defaults, interrupt, output};
+use crate::{contact, defaults, interrupt, output};
 
 /// What was found in a scene, or in all that show the same bodies.
 struct Found {
@@ -40,6 +40,7 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     if let Some(out) = &arguments.out {
         let inputs = std::iter::once(&arguments.scenes).chain(&arguments.model.path);
+        let inputs = inputs.chain(&arguments.contact.path);
         output::apart("--out", out, inputs.map(|path| path.as_path()))?;
     }
     let dataset = Dataset::open(&arguments.scenes)?;
@@ -50,7 +51,8 @@ pub(crate) fn run(arguments: &Identify) -> anyhow::Result<()> {
     let mut scenes = Vec::with_capacity(indices.len());
     for index in &indices {
         interrupt::check()?;
-        scenes.push((*index, dataset.scene_within(*index, None, &mut budget)?));
+        let scene = dataset.scene_within(*index, None, &mut budget)?;
+        scenes.push((*index, contact::applied_to(&arguments.contact, scene)?));
     }
     let together: Vec<Vec<(usize, RecordedScene)>> = match arguments.same_body {
         true => vec![scenes],

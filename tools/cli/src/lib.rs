@@ -4,9 +4,12 @@
 // Options of commands that a feature brings are read there alone.
 #[cfg_attr(not(feature = "full"), allow(dead_code))]
 mod arguments;
+#[cfg(feature = "calibrate")]
+mod calibrate;
 mod check;
 mod commanded;
 mod comparison;
+mod contact;
 mod csv_text;
 #[cfg(feature = "pieces")]
 mod decomposed;
@@ -89,6 +92,9 @@ fn command(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Check(arguments) => check::run(arguments),
         Command::Import(_arguments) => with!("import", "import", import::run(_arguments)),
         Command::Identify(_arguments) => with!("identify", "identify", identify::run(_arguments)),
+        Command::Calibrate(_arguments) => {
+            with!("calibrate", "calibrate", calibrate::run(_arguments))
+        }
         Command::Render(_arguments) => with!("render", "sensors", render::run(_arguments)),
         Command::Track(_arguments) => with!("track", "sensors", track::run(_arguments)),
         Command::Trace(arguments) => trace::record(arguments),

@@ -16,7 +16,7 @@ use crate::comparison::Comparison;
 use crate::csv_text::CsvText;
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
-use crate::{defaults, drive, interrupt, output, picture};
+use crate::{contact, defaults, drive, interrupt, output, picture};
 
 /// Frames between rows of the printed table.
 const TABLE_FRAMES: u32 = 10;
@@ -33,7 +33,10 @@ const MOST_SHOWN: usize = 8;
 pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let cancelled = interrupt::watch();
     let viewers = Viewers::open(&arguments.viewers)?;
-    let inputs = || arguments.scene.iter().chain(&arguments.model.path).map(|path| path.as_path());
+    let inputs = || {
+        let paths = arguments.scene.iter().chain(&arguments.model.path);
+        paths.chain(&arguments.contact.path).map(|path| path.as_path())
+    };
     viewers.apart_from(inputs())?;
     let results = RESULTS.map(|name| arguments.out.join(name));
     for path in &results {
@@ -53,6 +56,7 @@ pub(crate) fn run(arguments: &Rollout) -> anyhow::Result<()> {
     let last_frame = last_frame(&dataset, recorded, step, arguments)?;
     check_shown(&arguments.show, last_frame)?;
     let scene = dataset.scene(index, Some(last_frame as usize + 1))?;
+    let scene = contact::applied_to(&arguments.contact, scene)?;
     let scene = if arguments.join { joined(scene, step as usize)? } else { scene };
     let loaded = defaults::model(&arguments.model)?.for_host()?;
     let model = loaded.model();

@@ -16,10 +16,12 @@ const FOLDER: &str = "rollout";
 const WRITTEN: [&str; 3] = ["poses.csv", "errors.png", "strip.png"];
 
 /// Command lines that need a feature, and the feature. None reads or writes a file.
-const REFUSED: [(&[&str], &str); 7] = [
+const REFUSED: [(&[&str], &str); 9] = [
     (&["import", "poses.csv", "--out", "x.safetensors"], "import"),
     (&["pieces", "mesh.obj"], "pieces"),
     (&["identify", "scene.safetensors"], "identify"),
+    (&["calibrate", "scene.safetensors"], "calibrate"),
+    (&["rollout", "--contact", "x.toml", "--out", "x"], "calibrate"),
     (&["render", "--out", "x"], "sensors"),
     (&["track", "recording.mcap"], "sensors"),
     (&["rollout", "--html", "x.html", "--out", "x"], "viewers"),

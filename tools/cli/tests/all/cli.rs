@@ -106,8 +106,19 @@ fn changed_scene(change: impl FnOnce(&serde_json::Value, &mut [u8])) -> Vec<u8> 
 fn help_has_examples_for_every_command() {
     let help = works(&["--help"]);
     for command in [
-        "rollout", "evaluate", "inspect", "pack", "check", "identify", "import", "pieces",
-        "render", "track", "trace", "diff",
+        "rollout",
+        "evaluate",
+        "inspect",
+        "pack",
+        "check",
+        "identify",
+        "calibrate",
+        "import",
+        "pieces",
+        "render",
+        "track",
+        "trace",
+        "diff",
     ] {
         assert!(help.contains(command), "{help}");
         assert!(
@@ -1609,4 +1620,181 @@ fn a_model_learns_what_its_training_saw_and_tells_what_is_unlike_it() {
     fails(&["inspect", NANO, "--split", "train"], 2, &["--health"]);
     fails(&["inspect", NANO, "--model", NANO], 2, &["--model goes with --health"]);
     assert!(!Path::new(&out).exists());
+}
+
+/// As [`sliding`], with the velocity that it begins with.
+fn pushed(folder: &Folder, name: &str) -> String {
+    let path = sliding(folder, name);
+    let scene = Dataset::open(Path::new(&path)).unwrap().scene(0, None).unwrap();
+    let linear_m_s = Vector3::new(1.5, 0.0, 0.0);
+    let unit =
+        scene.units()[0].clone().with_velocity(Velocity { linear_m_s, ..Velocity::default() });
+    let gravity = scene.gravity_m_s2();
+    let scene = RecordedScene::new("push", 1, Split::Test, 120.0, gravity, vec![unit]).unwrap();
+    let scene = scene.with_planes(vec![Plane::ground(0.5, 0.5)]).unwrap();
+    let notes = SceneNotes {
+        dataset: "pushes".into(),
+        provenance: "made by a test".into(),
+        licence: "none".into(),
+    };
+    write_scene(Path::new(&path), &scene, &notes).unwrap();
+    path
+}
+
+#[test]
+fn calibrate_finds_the_friction_of_a_slide() {
+    let folder = Folder::new();
+    let scene = pushed(&folder, "push.safetensors");
+    let (out, state) = (folder.path("contact.toml"), folder.path("state"));
+    let arguments = [
+        "calibrate",
+        &scene,
+        "--model",
+        NANO,
+        "--without-network",
+        "--fit",
+        "friction",
+        "--evaluations",
+        "20",
+        "--resume",
+        &state,
+        "--out",
+        &out,
+        "--json",
+    ];
+    let printed = works(&arguments);
+    let found: serde_json::Value = serde_json::from_str(&printed).unwrap();
+    let number = &found["numbers"][0];
+    assert_eq!(
+        (number["name"].as_str(), &number["interval"]),
+        (Some("friction"), &serde_json::Value::Null)
+    );
+    assert!((number["in_file"].as_f64().unwrap() - 0.45).abs() < 1e-6, "{printed}");
+    assert!((number["fitted"].as_f64().unwrap() - 0.3).abs() < 0.02, "{printed}");
+    let share = &found["shares"][0]["predictors"][0];
+    assert_eq!(
+        (&found["model"], &share["predictor"]),
+        (&"impulses alone".into(), &"impulses alone".into())
+    );
+    let degrees = |of: &str| share[of]["position_percent"].as_f64().unwrap();
+    assert!(degrees("fitted") < 0.2 * degrees("in_file"), "{printed}");
+
+    // What is known is not computed again, and half of it leads to the same end.
+    let (text, whole) = (std::fs::read(&out).unwrap(), std::fs::read_to_string(&state).unwrap());
+    assert_eq!(works(&arguments), printed);
+    let half: Vec<&str> = whole.lines().take(6).collect();
+    std::fs::write(&state, half.join("\n")).unwrap();
+    assert_eq!(works(&arguments), printed);
+    assert_eq!(
+        (std::fs::read(&out).unwrap(), std::fs::read_to_string(&state).unwrap()),
+        (text, whole)
+    );
+
+    let row = |more: &[&str]| {
+        let all =
+            ["evaluate", &scene, "--model", NANO, "--without-network", "--steps", "2", "--json"];
+        let said = works(&[&all[..], more].concat());
+        let said: serde_json::Value = serde_json::from_str(&said).unwrap();
+        assert_eq!(said["model"]["name"], "impulses alone");
+        said["model"]["steps"][0]["position_m"].as_f64().unwrap()
+    };
+    let fitted = row(&["--contact", &out]);
+    assert_eq!(fitted, share["fitted"]["position_m"].as_f64().unwrap());
+    assert_eq!(row(&[]), share["in_file"]["position_m"].as_f64().unwrap());
+    // Beside a model, impulses alone are measured too.
+    let table = works(&[
+        "calibrate",
+        &scene,
+        "--model",
+        NANO,
+        "--fit",
+        "friction",
+        "--evaluations",
+        "4",
+        "--starts",
+        "1",
+    ]);
+    assert!(table.contains("nano") && table.contains("impulses alone"), "{table}");
+    let rolled = folder.path("rolled");
+    works(&["rollout", &scene, "--model", NANO, "--contact", &out, "--out", &rolled]);
+    works(&["identify", &scene, "--model", NANO, "--contact", &out, "--particles", "16"]);
+}
+
+#[test]
+fn calibrate_says_what_is_wrong() {
+    let folder = Folder::new();
+    let scene = pushed(&folder, "push.safetensors");
+    let fails_with = |arguments: &[&str], code: i32, expected: &[&str]| {
+        fails(&[&["calibrate", &scene, "--model", NANO], arguments].concat(), code, expected);
+    };
+    fails_with(
+        &["--fit", "stickiness"],
+        2,
+        &["--fit stickiness", "friction, restitution, height, tilt, inertia"],
+    );
+    fails_with(&["--train", "2"], 2, &["--train 2", "has 1 scenes"]);
+    fails_with(&["--validation", "0.9"], 2, &["--validation 0.9", "smaller share"]);
+    fails_with(&["--validation", "1"], 2, &["not from 0 to 0.9"]);
+    fails_with(&["--split", "train"], 1, &["no scene is in the split train"]);
+    fails_with(&["--weights", "1"], 2, &["--weights: give two numbers"]);
+    fails_with(&["--weights", "0,0"], 2, &["--weights: both are 0"]);
+    fails_with(&["--weights", "1,-1"], 2, &["not from 0 to 1e6"]);
+    fails_with(&["--out", &scene], 2, &["is what this command reads"]);
+    fails_with(&["--out", "x.toml", "--resume", "x.toml"], 2, &["two options name this file"]);
+    let state = folder.file("state", b"friction = 0.2");
+    fails_with(&["--resume", &state], 1, &[&state, "is not the state of a calibration"]);
+    let state = folder.file("state", b"rigidformer-calibration 1 0000000000000007\n");
+    fails_with(&["--resume", &state], 1, &[&state, "other options"]);
+    fails(&["calibrate", TINY_SOFT, "--model", NANO], 1, &["soft units"]);
+    fails(&["calibrate", NANO, "--model", NANO], 1, &["nano.rfm", "safetensors"]);
+    fails(
+        &["calibrate", &scene, "--model", SHELL, "--without-network"],
+        2,
+        &["--without-network", "impulses"],
+    );
+
+    let evaluate = |text: &[u8], expected: &[&str]| {
+        let path = folder.file("contact.toml", text);
+        let all = ["evaluate", &scene, "--model", NANO, "--steps", "2", "--contact", &path];
+        fails(&all, 1, &[&[path.as_str()], expected].concat());
+    };
+    let head = "format = 'rigidformer-contact'\nversion = 1\n";
+    evaluate(
+        format!("{head}frictoin = 0.2").as_bytes(),
+        &["line 3", "frictoin", "no number of contact", "friction"],
+    );
+    evaluate(format!("{head}friction = -1").as_bytes(), &["line 3", "from 0.005 to 2"]);
+    evaluate(b"friction = 0.2", &["format", "missing"]);
+    evaluate(b"\xff\xfe", &["UTF-8"]);
+    evaluate(b"[[[[", &["line 1", "calibrate"]);
+    let none = folder.path("none.toml");
+    fails(
+        &["evaluate", &scene, "--model", NANO, "--contact", &none],
+        1,
+        &["none.toml", "cannot be read"],
+    );
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_keeps_what_was_computed() {
+    let folder = Folder::new();
+    let scene = pushed(&folder, "push.safetensors");
+    let (out, state) = (folder.path("contact.toml"), folder.path("state"));
+    let child = program()
+        .args(["calibrate", &scene, "--model", NANO, "--evaluations", "100000", "--starts", "16"])
+        .args(["--weights", "1000000,0", "--resume", &state, "--out", &out])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_handler(child.id());
+    let process = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(process, rustix::process::Signal::INT).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{said}");
+    assert!(!Path::new(&out).exists());
+    // It may have been stopped while it still read.
+    assert_eq!(Path::new(&state).exists(), said.contains("the same command goes on"), "{said}");
 }

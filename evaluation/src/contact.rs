@@ -1,0 +1,581 @@
+//! Numbers of contact that recordings tell: which there are, how a scene takes them, and their file, `contact.toml`.
+//!
+//! A row of [`NUMBERS`] is all that a number is: its name, its range, how a search steps through it, how a scene gives it and takes it.
+
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Point3, Vector3};
+use rigidformer_core::kernels::in_own_environment;
+use rigidformer_core::{Plane, Role};
+use rigidformer_runtime::files::{FileError, read_whole, shown};
+use toml::de::{DeTable, DeValue};
+
+use crate::scenes::{RecordedScene, RecordedUnit, SceneError};
+
+/// What the file says that it is.
+const FORMAT: &str = "rigidformer-contact";
+/// The one version of the file.
+const VERSION: &str = "1";
+/// Bytes of a file, at most: notes take most of them.
+const MOST_BYTES: usize = 1 << 20;
+/// Least friction or restitution of a plane that a unit's own can be told by.
+const LEAST_COEFFICIENT: f32 = 1e-3;
+/// A unit counts as a ball where its points reach this share of its radius in all directions, as in the solver.
+const BALL: f32 = 0.975;
+
+/// How a search steps through a number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// By sums.
+    Linear,
+    /// By factors: the number is above 0.
+    Log,
+}
+
+/// A number of contact.
+pub struct Number {
+    /// As the file and tables call it.
+    pub name: &'static str,
+    /// As options call it: several numbers may go together.
+    pub group: &'static str,
+    /// What it means.
+    pub meaning: &'static str,
+    /// The least and the greatest that it may be.
+    pub range: [f32; 2],
+    /// How it is searched.
+    pub scale: Scale,
+    /// The first step of a search: a difference, or the logarithm of a factor.
+    pub spread: f64,
+    /// What a scene has.
+    get: fn(&Parts) -> f32,
+    /// Gives it to a scene.
+    set: fn(&mut Parts, f32),
+    /// Whether a scene needs a plane for it.
+    needs_plane: bool,
+}
+
+/// All numbers, in the order in which scenes take them.
+// Stiffness, damping and their kin go here: a row each, and nothing elsewhere.
+pub const NUMBERS: [Number; 6] = [
+    Number {
+        name: "friction",
+        group: "friction",
+        meaning: "of a unit with the roughest plane: the product of both",
+        range: [0.005, 2.0],
+        scale: Scale::Log,
+        spread: 0.25,
+        get: |parts| product(parts, |plane| plane.friction, |unit| unit.physics.friction),
+        set: |parts, value| {
+            let (own, planes) = shares(parts.reference(|plane| plane.friction), value);
+            parts.free().for_each(|unit| unit.physics.friction = own);
+            parts
+                .planes
+                .iter_mut()
+                .for_each(|plane| plane.friction = planes.unwrap_or(plane.friction));
+        },
+        needs_plane: false,
+    },
+    Number {
+        name: "restitution",
+        group: "restitution",
+        meaning: "of a unit with the roughest plane: the product of both",
+        range: [0.0, 1.0],
+        scale: Scale::Linear,
+        spread: 0.06,
+        get: |parts| product(parts, |plane| plane.restitution, |unit| unit.physics.restitution),
+        set: |parts, value| {
+            let (own, planes) = shares(parts.reference(|plane| plane.restitution), value);
+            parts.free().for_each(|unit| unit.physics.restitution = own);
+            let set = |plane: &mut Plane| plane.restitution = planes.unwrap_or(plane.restitution);
+            parts.planes.iter_mut().for_each(set);
+        },
+        needs_plane: false,
+    },
+    Number {
+        name: "table_height_m",
+        group: "height",
+        meaning: "how much higher the table is than in the file",
+        range: [-0.05, 0.05],
+        scale: Scale::Linear,
+        spread: 0.001,
+        get: |_| 0.0,
+        set: |parts, value| {
+            if let Some(table) = parts.table() {
+                table.offset_m += value;
+            }
+        },
+        needs_plane: true,
+    },
+    Number {
+        name: "table_slope_x",
+        group: "tilt",
+        meaning: "how far the table rises along x, a share of the way",
+        range: [-0.1, 0.1],
+        scale: Scale::Linear,
+        spread: 0.002,
+        get: |_| 0.0,
+        set: |parts, value| parts.tilt([value, 0.0]),
+        needs_plane: true,
+    },
+    Number {
+        name: "table_slope_y",
+        group: "tilt",
+        meaning: "how far the table rises along y, a share of the way",
+        range: [-0.1, 0.1],
+        scale: Scale::Linear,
+        spread: 0.002,
+        get: |_| 0.0,
+        set: |parts, value| parts.tilt([0.0, value]),
+        needs_plane: true,
+    },
+    Number {
+        name: "inertia_factor",
+        group: "inertia",
+        meaning: "how much the moments of inertia are of those in the file",
+        range: [0.2, 5.0],
+        scale: Scale::Log,
+        spread: 0.15,
+        get: |_| 1.0,
+        set: |parts, value| {
+            parts.free().for_each(|unit| unit.inertia = Some(moments(unit).map(|of| of * value)))
+        },
+        needs_plane: false,
+    },
+];
+
+/// What of a scene numbers change.
+struct Parts {
+    units: Vec<RecordedUnit>,
+    planes: Vec<Plane>,
+    gravity_m_s2: Vector3<f32>,
+}
+
+impl Parts {
+    fn free(&mut self) -> impl Iterator<Item = &mut RecordedUnit> {
+        self.units.iter_mut().filter(|unit| unit.role == Role::Free)
+    }
+
+    /// A coefficient of the roughest plane, as identification has it; 1 without planes.
+    fn reference(&self, of: impl Fn(&Plane) -> f32) -> f32 {
+        let rough = self.planes.iter().max_by(|a, b| a.friction.total_cmp(&b.friction));
+        rough.map_or(1.0, of)
+    }
+
+    /// The plane that things lie on.
+    fn table(&mut self) -> Option<&mut Plane> {
+        let down = self.gravity_m_s2;
+        let rising = |plane: &Plane| -plane.normal.dot(&down);
+        // Of equal ones the first, so that the order of a file decides.
+        let best = self.planes.iter().map(rising).fold(f32::NEG_INFINITY, f32::max);
+        self.planes.iter_mut().find(|plane| rising(plane) >= best)
+    }
+
+    /// Tilts the table about its point that is nearest to the origin.
+    fn tilt(&mut self, [x, y]: [f32; 2]) {
+        let Some(table) = self.table() else { return };
+        let normal = table.normal;
+        let flat = |axis: Vector3<f32>| axis - normal * normal.dot(&axis);
+        // Of a wall x is across.
+        let first = flat(if normal.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() });
+        let first = first / first.norm();
+        let second = normal.cross(&first);
+        let tilted = normal - first * x - second * y;
+        let tilted = tilted / tilted.norm();
+        table.offset_m *= tilted.dot(&normal);
+        table.normal = tilted;
+    }
+}
+
+/// The mean over free units of the products with the roughest plane's coefficient.
+fn product(parts: &Parts, plane: fn(&Plane) -> f32, unit: fn(&RecordedUnit) -> f32) -> f32 {
+    let free = parts.units.iter().filter(|unit| unit.role == Role::Free);
+    let sum: f32 = free.clone().map(unit).sum();
+    sum / free.count().max(1) as f32 * parts.reference(plane)
+}
+
+/// What a unit's own coefficient is for a product, and that of planes where it changes: a plane that has hardly any tells nothing of the
+/// unit.
+fn shares(plane: f32, value: f32) -> (f32, Option<f32>) {
+    match plane >= LEAST_COEFFICIENT {
+        true => (value / plane, None),
+        false => (value.sqrt(), Some(value.sqrt())),
+    }
+}
+
+/// Moments of inertia of a unit, kg m^2: its own, or those of a ball or of the box around its points.
+fn moments(unit: &RecordedUnit) -> [f32; 3] {
+    if let Some(own) = unit.inertia {
+        return own;
+    }
+    let [low, high] = bounds(unit);
+    let (middle, sides) = ((low + high) * 0.5, high - low);
+    let mass = unit.physics.mass_kg;
+    let radius = unit.points.iter().map(|point| (point.coords - middle).norm()).fold(0.0, f32::max);
+    if unit.pieces.is_empty() && is_ball(&unit.points, &middle, radius) {
+        return [0.4 * mass * radius * radius; 3];
+    }
+    let square = sides.component_mul(&sides);
+    let own = |axis: f32| (mass * (square.sum() - axis) / 12.0).max(f32::MIN_POSITIVE);
+    [own(square.x), own(square.y), own(square.z)]
+}
+
+fn is_ball(points: &[Point3<f32>], middle: &Vector3<f32>, radius: f32) -> bool {
+    let numbers = || [-1.0_f32, 0.0, 1.0].into_iter();
+    let directions = numbers()
+        .flat_map(|x| numbers().flat_map(move |y| numbers().map(move |z| Vector3::new(x, y, z))));
+    directions.filter(|along| *along != Vector3::zeros()).all(|along| {
+        let reach =
+            points.iter().map(|point| (point.coords - middle).dot(&along)).fold(0.0, f32::max);
+        reach >= BALL * radius * along.norm()
+    })
+}
+
+/// Corners of the box around a unit's points, in its frame.
+fn bounds(unit: &RecordedUnit) -> [Vector3<f32>; 2] {
+    let start = [Vector3::repeat(f32::INFINITY), Vector3::repeat(f32::NEG_INFINITY)];
+    unit.points
+        .iter()
+        .fold(start, |[low, high], point| [low.inf(&point.coords), high.sup(&point.coords)])
+}
+
+/// How large the free units of a scene are, metres: the mean side of the boxes around their points, of a cube its edge.
+pub fn size_m(scene: &RecordedScene) -> f64 {
+    let sides = |unit: &RecordedUnit| {
+        let [low, high] = bounds(unit);
+        (high - low).iter().map(|side| f64::from(*side)).sum::<f64>() / 3.0
+    };
+    let free = scene.units().iter().filter(|unit| unit.role == Role::Free);
+    let sum: f64 = free.clone().map(sides).sum();
+    sum / free.count().max(1) as f64
+}
+
+/// What is wrong with numbers of contact, their file, or a scene that is to take them. Its text says what to do.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ContactError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The file is none of such numbers.
+    #[error("{}: line {line}: {what}; {remedy}", .path.display())]
+    Text {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong.
+        what: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// A scene without the plane that a number belongs to.
+    #[error(
+        "{scene}: has no plane, which {number} is of; leave {number} out, or give a scene with planes"
+    )]
+    NoPlane {
+        /// The scene.
+        scene: String,
+        /// The number.
+        number: &'static str,
+    },
+    /// A scene that is none with such numbers.
+    #[error("{0}; give other numbers of contact")]
+    Scene(#[from] SceneError),
+}
+
+/// Some of the [`NUMBERS`], each within its range.
+///
+/// ```
+/// use rigidformer_evaluation::contact::Contact;
+/// let contact = Contact::parse("contact.toml".as_ref(), "format = 'rigidformer-contact'\nversion = 1\nfriction = 0.2\n")?;
+/// assert_eq!(contact.get("friction"), Some(0.2));
+/// assert_eq!(Contact::parse("again.toml".as_ref(), &contact.text(&[]))?, contact);
+/// # Ok::<(), rigidformer_evaluation::contact::ContactError>(())
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Contact {
+    values: [Option<f32>; NUMBERS.len()],
+}
+
+impl Contact {
+    /// What a scene has: no change.
+    pub fn of(scene: &RecordedScene) -> Contact {
+        let parts = parts_of(scene);
+        Contact {
+            values: NUMBERS
+                .map(|number| Some((number.get)(&parts).clamp(number.range[0], number.range[1]))),
+        }
+    }
+
+    /// By name.
+    pub fn get(&self, name: &str) -> Option<f32> {
+        self.values().find(|(number, _)| number.name == name).map(|(_, value)| value)
+    }
+
+    /// The numbers that it has.
+    pub fn values(&self) -> impl Iterator<Item = (&'static Number, f32)> {
+        static ALL: [Number; NUMBERS.len()] = NUMBERS;
+        ALL.iter().zip(self.values).filter_map(|(number, value)| Some((number, value?)))
+    }
+
+    /// By its place among the [`NUMBERS`], if that is given.
+    pub fn at(&self, index: usize) -> Option<f32> {
+        self.values.get(index).copied().flatten()
+    }
+
+    /// The same with one number, by its place among the [`NUMBERS`], set to the nearest in its range, or left out.
+    pub fn with(mut self, index: usize, value: Option<f32>) -> Contact {
+        if let (Some(slot), Some(number)) = (self.values.get_mut(index), NUMBERS.get(index)) {
+            *slot = value
+                .filter(|value| !value.is_nan())
+                .map(|value| value.clamp(number.range[0], number.range[1]));
+        }
+        self
+    }
+
+    /// A scene with these numbers in place of its own.
+    ///
+    /// # Errors
+    /// [`ContactError::NoPlane`], or [`ContactError::Scene`] where a number makes it none.
+    pub fn applied(&self, scene: &RecordedScene) -> Result<RecordedScene, ContactError> {
+        in_own_environment(|| {
+            let mut parts = parts_of(scene);
+            for (number, value) in self.values() {
+                if number.needs_plane && parts.planes.is_empty() {
+                    return Err(ContactError::NoPlane {
+                        scene: scene.name().to_owned(),
+                        number: number.name,
+                    });
+                }
+                (number.set)(&mut parts, value);
+            }
+            let planes = scene.planes().map(|_| parts.planes);
+            Ok(scene.with_parts(parts.units, planes)?)
+        })
+    }
+
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ContactError`]: what is wrong, with its line.
+    pub fn open(path: &Path) -> Result<Contact, ContactError> {
+        let bytes = read_whole(path)?;
+        let bad = |what: &str| text_error(path, 1, what.to_owned());
+        if bytes.len() > MOST_BYTES {
+            return Err(bad("the file is longer than a MiB"));
+        }
+        let text = String::from_utf8(bytes).map_err(|_| bad("the file is no text in UTF-8"))?;
+        Self::parse(path, &text)
+    }
+
+    /// Numbers from the text of a file; errors name `path`.
+    ///
+    /// # Errors
+    /// [`ContactError::Text`]
+    pub fn parse(path: &Path, text: &str) -> Result<Contact, ContactError> {
+        let line_at = |at: usize| 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
+        let table = DeTable::parse(text).map_err(|error| {
+            let line = error.span().map_or(1, |span| line_at(span.start));
+            text_error(path, line, shown(error.message(), 200))
+        })?;
+        let (mut contact, mut format, mut version) = (Contact::default(), false, false);
+        for (key, value) in table.get_ref() {
+            let fail = |what: String| Err(text_error(path, line_at(key.span().start), what));
+            let (key, value) = (key.get_ref().as_ref(), value.get_ref());
+            let name = shown(key, 60);
+            if key == "format" {
+                format = value.as_str() == Some(FORMAT);
+                if !format {
+                    return fail(format!("format is not \"{FORMAT}\""));
+                }
+                continue;
+            }
+            if key == "version" {
+                version = matches!(value, DeValue::Integer(number) if number.as_str() == VERSION);
+                if !version {
+                    return fail(format!(
+                        "version is not {VERSION}, the one that this program knows"
+                    ));
+                }
+                continue;
+            }
+            let Some(index) = NUMBERS.iter().position(|number| number.name == key) else {
+                return fail(format!("{name} is no number of contact"));
+            };
+            let [least, most] = NUMBERS[index].range;
+            let found = match value {
+                DeValue::Float(number) => number.as_str().parse::<f32>().ok(),
+                DeValue::Integer(number) if number.radix() == 10 => {
+                    number.as_str().parse::<f32>().ok()
+                }
+                _ => None,
+            };
+            match found {
+                Some(found) if (least..=most).contains(&found) => {
+                    contact.values[index] = Some(found)
+                }
+                _ => return fail(format!("{name} is not a number from {least} to {most}")),
+            }
+        }
+        match (format, version) {
+            (true, true) => Ok(contact),
+            (false, _) => Err(text_error(path, 1, format!("format = \"{FORMAT}\" is missing"))),
+            _ => Err(text_error(path, 1, format!("version = {VERSION} is missing"))),
+        }
+    }
+
+    /// The text of a file, with notes behind the numbers by name, and at the top those that name none.
+    pub fn text(&self, notes: &[(&str, String)]) -> String {
+        let line = |text: &str| shown(text, 1000);
+        let is_of = |name: &str| self.values().any(|(number, _)| number.name == name);
+        let mut text = String::new();
+        for (_, note) in notes.iter().filter(|(name, _)| !is_of(name)) {
+            text += &format!("# {}\n", line(note));
+        }
+        text += &format!("format = \"{FORMAT}\"\nversion = {VERSION}\n");
+        for (number, value) in self.values() {
+            text += &format!("\n# {}\n", number.meaning);
+            text += &format!("{} = {value:?}", number.name);
+            if let Some((_, note)) = notes.iter().find(|(name, _)| *name == number.name) {
+                text += &format!(" # {}", line(note));
+            }
+            text.push('\n');
+        }
+        text
+    }
+}
+
+fn text_error(path: &Path, line: usize, what: String) -> ContactError {
+    let names: Vec<&str> = NUMBERS.iter().map(|number| number.name).collect();
+    let remedy = format!(
+        "give a file that `rigidformer calibrate` wrote: format, version and some of {}",
+        names.join(", ")
+    );
+    ContactError::Text { path: path.into(), line, what, remedy }
+}
+
+fn parts_of(scene: &RecordedScene) -> Parts {
+    Parts {
+        units: scene.units().to_vec(),
+        planes: scene.planes().unwrap_or_default().to_vec(),
+        gravity_m_s2: scene.gravity_m_s2(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::Split;
+    use nalgebra::Isometry3;
+    use rigidformer_core::Physics;
+
+    fn scene(planes: Vec<Plane>) -> RecordedScene {
+        let corner =
+            |i: i32| Point3::from([1, 2, 4].map(|bit| if i & bit == 0 { -0.05 } else { 0.05 }));
+        let physics = Physics { mass_kg: 0.6, friction: 0.4, restitution: 0.3 };
+        let unit = RecordedUnit::new(
+            "cube",
+            (0..8).map(corner).collect(),
+            physics,
+            vec![Isometry3::identity(); 3],
+        );
+        let shelf = unit.clone().with_role(Role::Fixed);
+        let gravity = Vector3::new(0.0, 0.0, -9.81);
+        let scene =
+            RecordedScene::new("toss", 7, Split::Test, 100.0, gravity, vec![unit, shelf]).unwrap();
+        scene.with_planes(planes).unwrap()
+    }
+
+    fn parse(text: &str) -> Result<Contact, String> {
+        let head = "format = \"rigidformer-contact\"\nversion = 1\n";
+        Contact::parse("c.toml".as_ref(), &format!("{head}{text}"))
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn a_file_says_what_was_written() {
+        let mut contact = Contact::default();
+        for (index, number) in NUMBERS.iter().enumerate() {
+            contact = contact
+                .with(index, Some(number.range[0] + (number.range[1] - number.range[0]) / 3.0));
+        }
+        let text = contact
+            .text(&[("friction", "0.1 to\n 0.3".into()), ("", "of a \u{1b}[2J file".into())]);
+        assert!(text.contains(" # 0.1 to 0.3\n") && !text.contains('\u{1b}'), "{text}");
+        assert_eq!(Contact::parse("c.toml".as_ref(), &text).unwrap(), contact);
+        assert_eq!(parse("").unwrap(), Contact::default());
+        assert_eq!(parse("restitution = 1").unwrap().get("restitution"), Some(1.0));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (text, expected) in [
+            ("\nfrictoin = 0.2", "c.toml: line 4: frictoin is no number of contact"),
+            ("friction = 9", "line 3: friction is not a number from 0.005 to 2"),
+            ("friction = nan", "line 3: friction is not a number"),
+            ("friction = '0.2'", "line 3: friction is not a number"),
+            ("friction = [0.2]", "line 3: friction is not a number"),
+            ("restitution = 0.1\nfriction =", "line 4: "),
+            ("friction = 0.1\nfriction = 0.1", "line 4: duplicate key"),
+            ("\u{1b}[2J = 1", "line 3: "),
+            ("'\u{7}' = 1", "line 3: "),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.contains(expected) && error.contains("calibrate"), "{text}: {error}");
+        }
+        let of = |text: &str| Contact::parse("c.toml".as_ref(), text).unwrap_err().to_string();
+        assert!(of("friction = 0.2").contains("format = \"rigidformer-contact\" is missing"));
+        assert!(of("format = 'rigidformer-contact'").contains("version = 1 is missing"));
+        assert!(of("format = 'x'").contains("line 1: format is not"));
+        assert!(of("version = 2").contains("version is not 1"));
+        assert!(of(&"[".repeat(10_000)).contains("line 1"));
+    }
+
+    #[test]
+    fn a_scene_takes_what_a_file_says() {
+        let wall = Plane {
+            normal: Vector3::new(-1.0, 0.0, 0.0),
+            offset_m: -2.0,
+            friction: 0.2,
+            restitution: 0.3,
+        };
+        let given = scene(vec![wall, Plane::ground(0.5, 0.0)]);
+        assert_eq!(Contact::of(&given).get("friction"), Some(0.2));
+        let contact = parse(
+            "friction = 0.1\nrestitution = 0.25\ntable_height_m = 0.01\ntable_slope_x = 0.1\ninertia_factor = 2",
+        )
+        .unwrap();
+        let scene = contact.applied(&given).unwrap();
+        let [cube, shelf] = scene.units() else { panic!("two units") };
+        let [across, table] = scene.planes().unwrap() else { panic!("two planes") };
+        assert_eq!((cube.physics.friction, cube.physics.restitution), (0.2, 0.5));
+        // The table bounced nothing, so both sides get the root.
+        assert_eq!((across.friction, table.friction, table.restitution), (0.2, 0.5, 0.5));
+        assert_eq!(shelf, &given.units()[1]);
+        // A box of .1 m and .6 kg has 1e-3 kg m^2.
+        assert!(cube.inertia.unwrap().iter().all(|moment| (moment - 2e-3).abs() < 1e-8));
+        let over = |x: f32, z: f32| table.normal.dot(&Vector3::new(x, 0.3, z)) - table.offset_m;
+        assert!(over(0.0, 0.01).abs() < 1e-6 && over(1.0, 0.11).abs() < 1e-6, "{table:?}");
+        assert_eq!(across.normal, wall.normal);
+        assert_eq!(Contact::default().applied(&given).unwrap(), given);
+        let error = contact.applied(&super::tests::scene(Vec::new())).unwrap_err().to_string();
+        assert!(error.contains("toss") && error.contains("table_height_m"), "{error}");
+    }
+
+    #[test]
+    fn a_ball_keeps_its_inertia() {
+        let mut points = Vec::new();
+        for i in 0..500 {
+            let z = 1.0 - 2.0 * (i as f32 + 0.5) / 500.0;
+            let (angle, ring) = (2.399_963_2 * i as f32, (1.0 - z * z).sqrt());
+            points.push(Point3::new(ring * angle.cos(), ring * angle.sin(), z) * 0.1);
+        }
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        let ball = RecordedUnit::new("ball", points, physics, vec![Isometry3::identity()]);
+        assert!(
+            moments(&ball).iter().all(|moment| (moment - 4e-3).abs() < 2e-4),
+            "{:?}",
+            moments(&ball)
+        );
+    }
+}

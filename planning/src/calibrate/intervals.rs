@@ -123,11 +123,17 @@ impl Fit {
         (0..resamples).map(end).collect()
     }
 
+    /// Where the quadratic ends along a number.
+    pub(super) fn reach(&self, index: usize) -> [f64; 2] {
+        let around = self.around.get(index).copied().unwrap_or_default();
+        [around - REACH, around + REACH]
+    }
+
     /// Whether an interval reaches either end of the quadratic.
     pub(super) fn open(&self, index: usize, low: f64, high: f64) -> [bool; 2] {
-        let around = self.around.get(index).copied().unwrap_or_default();
-        let near = 0.98 * REACH;
-        [low <= around - near, high >= around + near]
+        let [first, last] = self.reach(index);
+        let near = 0.02 * REACH;
+        [low <= first + near, high >= last - near]
     }
 }
 

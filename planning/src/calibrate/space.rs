@@ -90,13 +90,16 @@ impl Space {
             let (low, high) = (at(TAIL)?, at(1.0 - TAIL)?);
             let open = fit.open(index, low, high);
             let (own, least) = (own.get(index).copied()?, least.get(index).copied()?);
+            let [first, last] = fit.reach(index);
+            // An interval holds the number itself, and ends where the quadratic does.
+            let low = if open[0] { first } else { own + (low - least).min(0.0) }.max(first);
+            let high = if open[1] { last } else { own + (high - least).max(0.0) }.min(last);
             let [lowest, highest] = number.range;
-            // An interval holds the number itself.
-            let value = |off: f64| {
-                (back(number, zero + (own + off) * number.spread) as f32).clamp(lowest, highest)
+            let value = |place: f64| {
+                (back(number, zero + place * number.spread) as f32).clamp(lowest, highest)
             };
-            let (low, high) = ((low - least).min(0.0), (high - least).max(0.0));
-            Some(Bounds { low: value(low), high: value(high), open })
+            let (low, high) = (value(low.min(own)), value(high.max(own)));
+            Some(Bounds { low, high, open })
         };
         self.numbers().enumerate().map(bounds).collect()
     }

@@ -194,7 +194,7 @@ impl Surface {
             .map_or(f32::MAX, |next| 0.5 * (next.distance.sqrt() - first.distance.sqrt()));
         // Distances are rounded.
         let slack_m = way - ROUNDING * (first.distance.sqrt() + self.radius_m);
-        Some(Remembered { point: *point, at: first.item as u32, slack_m })
+        Some(Remembered { point: *point, at: first.item, slack_m })
     }
 
     /// Adds the observations of a capture: points, normals and the deviation along them, in the unit's frame.

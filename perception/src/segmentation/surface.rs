@@ -308,7 +308,7 @@ impl<'w> Window<'w> {
     /// Those of the pixels of a block that [is inside](Self::is_inside).
     fn moments_of_block(&self, [u, v]: [usize; 2]) -> [Moments; LANES] {
         let start = v * self.width as usize + u;
-        let z: [f32; LANES] = lanes(&self.image.depth_m, start);
+        let z: [f32; LANES] = lanes(self.image.depth_m, start);
         let component: [u32; LANES] = lanes(self.components, start);
         let is_there = component.map(|root| root != NONE);
         let mut gap = [-1.0f32; LANES];
@@ -325,7 +325,7 @@ impl<'w> Window<'w> {
             }
             for du in self.steps() {
                 let start = (y * self.width + u as i64 + du) as usize;
-                let depth: [f32; LANES] = lanes(&self.image.depth_m, start);
+                let depth: [f32; LANES] = lanes(self.image.depth_m, start);
                 let other: [u32; LANES] = lanes(self.components, start);
                 let (a, b) = (du as f32, dv as f32);
                 let growth = 1.0 + GAP_GROWTH * du.abs().max(dv.abs()) as f32;

@@ -13,7 +13,22 @@ use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
-use super::{CalibrateError, Weights};
+use super::error::CalibrateError;
+
+/// What an error of a scene costs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Weights {
+    /// A per cent of a unit's size, from 0.
+    pub position: f64,
+    /// A degree, from 0.
+    pub rotation: f64,
+}
+
+impl Default for Weights {
+    fn default() -> Self {
+        Weights { position: 1.0, rotation: 0.8 }
+    }
+}
 
 /// Errors that stand for a rollout that ends nowhere: worse than any that does not.
 const NOWHERE: Errors = Errors { position_m: 1e3, position_percent: 1e5, rotation_deg: 180.0 };

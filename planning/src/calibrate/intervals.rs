@@ -3,6 +3,21 @@
 use nalgebra::{DMatrix, DVector};
 use rigidformer_runtime::noise::Noise;
 
+/// Between which bounds 90 % of the resampled fits are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// The lower bound.
+    pub low: f32,
+    /// The upper one.
+    pub high: f32,
+    /// Whether it goes on below, and above: fits ended where the quadratic does.
+    pub open: [bool; 2],
+}
+
+pub(super) fn mean(costs: &[f64]) -> f64 {
+    costs.iter().sum::<f64>() / costs.len().max(1) as f64
+}
+
 /// Scenes that can be resampled, at least.
 pub(super) const LEAST_SCENES: usize = 5;
 /// How far the quadratic goes to either side, in spreads.
@@ -69,7 +84,7 @@ impl Fit {
             Some(drawn) => {
                 drawn.iter().filter_map(|scene| of.get(*scene)).sum::<f64>() / drawn.len() as f64
             }
-            None => super::mean(of),
+            None => mean(of),
         };
         let values = DVector::from_iterator(costs.len(), costs.iter().map(mean));
         let found = &self.solve * values;

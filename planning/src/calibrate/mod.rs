@@ -36,6 +36,7 @@
 //! ```
 
 mod cost;
+mod error;
 mod flight;
 mod intervals;
 mod memo;
@@ -45,33 +46,20 @@ mod space;
 use std::sync::atomic::Ordering;
 
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_evaluation::contact::{Contact, ContactError, NUMBERS};
-use rigidformer_evaluation::rollout::RolloutError;
+use rigidformer_evaluation::contact::{Contact, NUMBERS};
 use rigidformer_evaluation::scenes::RecordedScene;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
 
-pub use cost::{Errors, Figures, figures};
+pub use cost::{Errors, Figures, Weights, figures};
+pub use error::CalibrateError;
 pub use flight::{StartNoise, start_noise};
+pub use intervals::Bounds;
 pub use memo::{Memo, MemoError};
 
 use cost::Objective;
+use intervals::mean;
 use space::Space;
-
-/// What an error of a scene costs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Weights {
-    /// A per cent of a unit's size, from 0.
-    pub position: f64,
-    /// A degree, from 0.
-    pub rotation: f64,
-}
-
-impl Default for Weights {
-    fn default() -> Self {
-        Weights { position: 1.0, rotation: 0.8 }
-    }
-}
 
 /// How numbers are fitted.
 #[derive(Clone, Debug, PartialEq)]
@@ -109,62 +97,6 @@ impl Default for Settings {
 /// The place of a number among the [`NUMBERS`], by its name.
 pub fn number(name: &str) -> Option<usize> {
     NUMBERS.iter().position(|number| number.name == name)
-}
-
-/// Why numbers are not fitted. Its text says what to do.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CalibrateError {
-    /// The caller asked to stop.
-    #[error("cancelled")]
-    Cancelled,
-    /// A setting that is not allowed.
-    #[error("{name}: is {value}, not {range}")]
-    Setting {
-        /// The setting.
-        name: &'static str,
-        /// What it is.
-        value: String,
-        /// What it may be.
-        range: &'static str,
-    },
-    /// There is nothing to fit to.
-    #[error("there are no scenes to fit to; give at least one")]
-    NoScenes,
-    /// A scene that tells nothing.
-    #[error("{scene}: {what}")]
-    Scene {
-        /// The scene.
-        scene: String,
-        /// What is wrong, and the remedy.
-        what: &'static str,
-    },
-    /// A scene that cannot take the numbers.
-    #[error(transparent)]
-    Contact(#[from] ContactError),
-    /// A scene that cannot be rolled out.
-    #[error(transparent)]
-    Rollout(RolloutError),
-}
-
-impl From<RolloutError> for CalibrateError {
-    fn from(error: RolloutError) -> Self {
-        match error {
-            RolloutError::Cancelled => CalibrateError::Cancelled,
-            other => CalibrateError::Rollout(other),
-        }
-    }
-}
-
-/// Between which bounds 90 % of the resampled fits are.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bounds {
-    /// The lower bound.
-    pub low: f32,
-    /// The upper one.
-    pub high: f32,
-    /// Whether it goes on below, and above: fits ended where the quadratic does.
-    pub open: [bool; 2],
 }
 
 /// How a start did.
@@ -333,10 +265,6 @@ impl<'m> Calibration<'m> {
         }
         Ok(Calibrated { contact, given: space.given(), bounds, starts, chosen })
     }
-}
-
-fn mean(costs: &[f64]) -> f64 {
-    costs.iter().sum::<f64>() / costs.len().max(1) as f64
 }
 
 fn check(settings: &Settings) -> Result<(), CalibrateError> {

@@ -6,7 +6,7 @@ use argmin::core::{CostFunction, Error, Executor};
 use argmin::solver::neldermead::NelderMead;
 use rigidformer_runtime::noise::Noise;
 
-use super::CalibrateError;
+use super::error::CalibrateError;
 
 /// A simplex whose corners cost alike within this goes nowhere.
 const FLAT: f64 = 1e-3;

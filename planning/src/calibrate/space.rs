@@ -3,8 +3,7 @@
 use rigidformer_evaluation::contact::{Contact, NUMBERS, Number, Scale};
 use rigidformer_evaluation::scenes::RecordedScene;
 
-use super::Bounds;
-use super::intervals::Fit;
+use super::intervals::{Bounds, Fit};
 
 /// Cost of a squared spread beyond a number's range.
 const BEYOND: f64 = 10.0;

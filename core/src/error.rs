@@ -210,6 +210,15 @@ pub enum ObserveError {
         /// Which unit.
         unit: usize,
     },
+    /// A contact stiffness or dissipation outside its range.
+    #[cfg(feature = "compliance")]
+    #[error(
+        "compliance of unit {unit}: stiffness must be from 1e-3 to 1e12 N/m, or 0 (rigid), dissipation from 0 to 1e6 s/m"
+    )]
+    BadCompliance {
+        /// Which unit.
+        unit: usize,
+    },
     /// A moment of inertia outside its range, or greater than the sum of the other two, which no body has.
     #[error(
         "inertia of unit {unit}: moments must be from 1e-18 to 1e18 kg m^2, none greater than the sum of the other two; correct them, or give none for those of the box around the points"
@@ -390,6 +399,24 @@ pub enum EditError {
         "plane {plane}: its normal must be of length 1 within 0.001, its offset within 1e6 m, friction and restitution from 0 to 1000"
     )]
     BadPlane {
+        /// Which plane.
+        plane: usize,
+    },
+    /// There is no such plane.
+    #[cfg(feature = "compliance")]
+    #[error("the scene has {planes} planes, none with the number {plane}")]
+    NoSuchPlane {
+        /// Which plane.
+        plane: usize,
+        /// How many there are.
+        planes: usize,
+    },
+    /// A contact stiffness or dissipation of a plane outside its range.
+    #[cfg(feature = "compliance")]
+    #[error(
+        "compliance of plane {plane}: stiffness must be from 1e-3 to 1e12 N/m, or 0 (rigid), dissipation from 0 to 1e6 s/m"
+    )]
+    BadPlaneCompliance {
         /// Which plane.
         plane: usize,
     },

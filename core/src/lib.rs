@@ -81,7 +81,7 @@ pub use nalgebra;
 pub use rigidformer_weights as weights;
 #[cfg(feature = "deform")]
 pub use scene::Soft;
-pub use scene::{Physics, Role, Unit, UnitId, UnitSlot};
+pub use scene::{Compliance, Physics, Role, Unit, UnitId, UnitSlot};
 #[cfg(feature = "health")]
 pub use simulator::{Excess, Health, HealthReport, InnovationError};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView, Velocity};

@@ -6,7 +6,7 @@ use crate::geometry::{Course, Pose, State, norm, rotate, turn_between};
 use crate::limits::{ANCHORS, MAX_PLANES};
 use crate::math;
 use crate::measure::Measure;
-use crate::stand_in::OfHealth;
+use crate::stand_in::{OfCompliance, OfHealth};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -25,6 +25,42 @@ impl Physics {
         (1e-9..=1e9).contains(&self.mass_kg)
             && (0.0..=1e3).contains(&self.friction)
             && (0.0..=1e3).contains(&self.restitution)
+    }
+}
+
+/// How contact with a unit or a plane gives way: as a spring and a damper at each contact point (Hunt and Crossley). At a
+/// depth d that changes by d' a second, a point pushes with `k d (1 + c d')` newtons, and never pulls.
+///
+/// Two that touch give way in series: the pair has `1 / k = 1 / k1 + 1 / k2`, and `c / k = c1 / k1 + c2 / k2`. Where both are
+/// rigid, contact stops approaches at once, and restitution says how it bounces. Where either gives way, `k` and `c` say
+/// that, and restitution counts for nothing.
+///
+/// ```
+/// use rigidformer_core::Compliance;
+/// let acrylic = Compliance { stiffness_n_m: 10_000.0, dissipation_s_m: 4.0 };
+/// assert!(Compliance::default().is_rigid() && !acrylic.is_rigid());
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Compliance {
+    /// Stiffness k at a contact point, N/m, from 1e-3 to 1e12; 0 or infinite: rigid.
+    pub stiffness_n_m: f32,
+    /// Dissipation c, s/m, from 0 to 1e6.
+    pub dissipation_s_m: f32,
+}
+
+impl Compliance {
+    /// Contact that does not give way: the default.
+    pub const RIGID: Compliance = Compliance { stiffness_n_m: 0.0, dissipation_s_m: 0.0 };
+
+    /// Whether contact does not give way.
+    pub const fn is_rigid(&self) -> bool {
+        self.stiffness_n_m == 0.0 || self.stiffness_n_m == f32::INFINITY
+    }
+
+    /// Whether both numbers are in range.
+    pub(crate) fn is_sound(&self) -> bool {
+        (self.is_rigid() || (1e-3..=1e12).contains(&self.stiffness_n_m))
+            && (0.0..=1e6).contains(&self.dissipation_s_m)
     }
 }
 
@@ -94,6 +130,9 @@ pub struct Unit<'a> {
     pub inertia_kg_m2: Option<[f32; 3]>,
     /// Convex pieces that it touches with, where it is hollow: [`Pieces::NONE`] is the hull of its points.
     pub pieces: Pieces<'a>,
+    /// How contact with it gives way.
+    #[cfg(feature = "compliance")]
+    pub compliance: Compliance,
     /// What it is like at rest, where it deforms. `None`: it is rigid.
     #[cfg(feature = "deform")]
     pub soft: Option<Soft<'a>>,
@@ -110,6 +149,8 @@ impl<'a> Unit<'a> {
             body,
             inertia_kg_m2,
             pieces: Pieces::NONE,
+            #[cfg(feature = "compliance")]
+            compliance: Compliance::RIGID,
             #[cfg(feature = "deform")]
             soft: None,
         }
@@ -133,6 +174,12 @@ impl<'a> Unit<'a> {
     /// The same unit, which touches with convex pieces.
     pub const fn pieces(self, pieces: Pieces<'a>) -> Self {
         Unit { pieces, ..self }
+    }
+
+    /// The same unit, with contact that gives way.
+    #[cfg(feature = "compliance")]
+    pub const fn compliance(self, compliance: Compliance) -> Self {
+        Unit { compliance, ..self }
     }
 
     /// The same unit as a patch that deforms: see [`Soft`]. Models of elastic motion alone move it.
@@ -191,6 +238,7 @@ pub struct UnitSlot {
     pub(crate) count: usize,
     /// As the caller gave it.
     pub(crate) physics: Physics,
+    pub(crate) compliance: OfCompliance<Compliance>,
     pub(crate) role: Role,
     /// Whether it diverged and waits for a pose: a free unit that is held as if it were fixed.
     pub(crate) quarantine: OfHealth<Quarantine>,
@@ -284,6 +332,7 @@ impl UnitSlot {
             start: 0,
             count: 0,
             physics: Physics { mass_kg: 0.0, friction: 0.0, restitution: 0.0 },
+            compliance: OfCompliance::new(Compliance::RIGID),
             role: Role::Free,
             quarantine: OfHealth::new(Quarantine::None),
             is_ball: false,
@@ -318,6 +367,18 @@ impl UnitSlot {
         self.physics = physics;
         self.mass = physics.mass_kg / measure.mass();
         self.ln_mass = math::ln(self.mass);
+    }
+
+    /// How contact with it gives way.
+    #[inline(always)]
+    pub(crate) fn compliance(&self) -> Compliance {
+        self.compliance.get().copied().unwrap_or_default()
+    }
+
+    /// Whether contact with a plane gives way.
+    #[inline(always)]
+    pub(crate) fn gives_way_on(&self, scene: &Scene<'_>, plane: usize) -> bool {
+        !(self.compliance().is_rigid() && scene.plane_compliance(plane).is_rigid())
     }
 
     /// Rows of the slab of extreme points that are its own.
@@ -525,7 +586,11 @@ pub(crate) struct Scene<'s> {
     /// Extreme points of the units; empty for models without impacts.
     pub(crate) hulls: &'s mut [Point3<f32>],
     pub(crate) planes: heapless::Vec<Plane, MAX_PLANES>,
+    /// How contact with each of them gives way.
+    pub(crate) plane_compliance: OfCompliance<[Compliance; MAX_PLANES]>,
     pub(crate) measure: Measure,
+    /// Seconds that count as one.
+    pub(crate) second: OfCompliance<f32>,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
     /// Seconds of a step, or of its substeps.
@@ -540,6 +605,13 @@ pub(crate) struct Scene<'s> {
 }
 
 impl Scene<'_> {
+    /// How contact with a plane gives way, by its number.
+    #[inline(always)]
+    pub(crate) fn plane_compliance(&self, plane: usize) -> Compliance {
+        let all = self.plane_compliance.get();
+        all.and_then(|all| all.get(plane)).copied().unwrap_or_default()
+    }
+
     /// Units of all copies.
     pub(crate) fn units(&self) -> &[UnitSlot] {
         self.slots.get(..self.count).unwrap_or_default()

@@ -18,6 +18,12 @@ pub(crate) type OfHealth<T> = Stored<T>;
 #[cfg(not(feature = "health"))]
 pub(crate) type OfHealth<T> = Absent<T>;
 
+/// A value of builds with the feature `compliance`.
+#[cfg(feature = "compliance")]
+pub(crate) type OfCompliance<T> = Stored<T>;
+#[cfg(not(feature = "compliance"))]
+pub(crate) type OfCompliance<T> = Absent<T>;
+
 /// A value that is there.
 #[derive(Clone, Copy, Debug)]
 #[allow(dead_code, reason = "builds without features have none")]

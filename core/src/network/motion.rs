@@ -25,7 +25,11 @@ fn may_touch(scene: &Scene<'_>, index: usize, unit: &UnitSlot) -> bool {
 pub(crate) fn lift_above_planes(scene: &Scene<'_>, unit: &UnitSlot, pose: &Pose) -> Vector3<f32> {
     let points = scene.hull_of(unit);
     let mut lift = Vector3::zeros();
-    for plane in &scene.planes {
+    for (number, plane) in scene.planes.iter().enumerate() {
+        // What gives way is pushed out by its spring.
+        if unit.gives_way_on(scene, number) {
+            continue;
+        }
         let next = Pose { centre: pose.centre + lift, ..*pose };
         lift += plane.normal * plane.lift_m(points, unit.radius, &unit.current, &next);
     }

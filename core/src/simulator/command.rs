@@ -8,8 +8,9 @@ use crate::error::{CommandError, EditError, ObserveError};
 use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_DRIVEN_M_S, MAX_PLANES};
 use crate::measure::{Pace, is_similar};
-use crate::scene::{Physics, Quarantine, Role, Unit, UnitId, UnitSlot};
+use crate::scene::{Compliance, Physics, Quarantine, Role, Unit, UnitId, UnitSlot};
 use crate::slices::{copy_slice, rows_mut, slice_at_mut};
+use crate::stand_in::OfCompliance;
 use nalgebra::{Isometry3, Vector3};
 
 /// The largest component of gravity, m/s^2.
@@ -246,6 +247,57 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
+    /// Changes how contact with a unit gives way, in the first copy of the scene.
+    ///
+    /// # Errors
+    /// [`EditError`]; the unit is what it was.
+    #[cfg(feature = "compliance")]
+    pub fn set_compliance(&mut self, id: UnitId, compliance: Compliance) -> Result<(), EditError> {
+        self.set_compliance_in(0, id, compliance)
+    }
+
+    /// As [`set_compliance`](Self::set_compliance), in one of the [copies](Self::replicate).
+    ///
+    /// # Errors
+    /// As [`set_compliance`](Self::set_compliance).
+    #[cfg(feature = "compliance")]
+    pub fn set_compliance_in(
+        &mut self,
+        copy: usize,
+        id: UnitId,
+        compliance: Compliance,
+    ) -> Result<(), EditError> {
+        let (unit, number) = self.slot(copy, id)?;
+        if !compliance.is_sound() {
+            return Err(ObserveError::BadCompliance { unit: number }.into());
+        }
+        unit.compliance = OfCompliance::new(compliance);
+        self.forget_still();
+        Ok(())
+    }
+
+    /// Changes how contact with a plane gives way, in all copies of the scene.
+    ///
+    /// # Errors
+    /// [`EditError`]; the plane is what it was.
+    #[cfg(feature = "compliance")]
+    pub fn set_plane_compliance(
+        &mut self,
+        plane: usize,
+        compliance: Compliance,
+    ) -> Result<(), EditError> {
+        let planes = self.given.planes.len();
+        let all = self.scene.plane_compliance.get_mut();
+        let place = all.and_then(|all| all.get_mut(..planes)?.get_mut(plane));
+        let place = place.ok_or(EditError::NoSuchPlane { plane, planes })?;
+        if !compliance.is_sound() {
+            return Err(EditError::BadPlaneCompliance { plane });
+        }
+        *place = compliance;
+        self.forget_still();
+        Ok(())
+    }
+
     /// Changes who moves a unit, in all copies of the scene. A unit that becomes free goes on with the motion of its
     /// last step; one that becomes driven stays where it is until it is told where to go. A unit in quarantine that
     /// becomes driven or fixed leaves it.
@@ -280,7 +332,7 @@ impl Simulator<'_, '_> {
         }
     }
 
-    /// Changes the planes that the scene stands on or between; none is allowed.
+    /// Changes the planes that the scene stands on or between; none is allowed. Contact with them is rigid until told otherwise.
     ///
     /// # Errors
     /// [`EditError`]; the planes are what they were.
@@ -297,6 +349,7 @@ impl Simulator<'_, '_> {
         }
         self.given.planes.clear();
         let _ = self.given.planes.extend_from_slice(planes);
+        self.scene.plane_compliance = OfCompliance::new([Compliance::RIGID; MAX_PLANES]);
         self.set_measure(self.scene.measure);
         Ok(())
     }

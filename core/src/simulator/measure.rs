@@ -182,8 +182,11 @@ impl Simulator<'_, '_> {
         for plane in &mut scene.planes {
             plane.offset_m = measure.inward_offset(&plane.normal, plane.offset_m);
         }
-        scene.gravity =
-            given.gravity * Pace::new(model.config(), &measure, &given.gravity).gravity_factor;
+        let pace = Pace::new(model.config(), &measure, &given.gravity);
+        scene.gravity = given.gravity * pace.gravity_factor;
+        if let Some(second) = scene.second.get_mut() {
+            *second = pace.time;
+        }
     }
 
     pub(super) fn set_time(&mut self, Time { given_s, substeps, dt_s, step_code }: Time) {

@@ -14,9 +14,11 @@ use crate::kernels::in_own_environment;
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MIN_EXTENT_M};
 use crate::measure::Measure;
 use crate::network::anchors;
+#[cfg(not(feature = "compliance"))]
+use crate::scene::Compliance;
 use crate::scene::{Quarantine, Unit, UnitId, UnitSlot};
 use crate::slices::slice_at_mut;
-use crate::stand_in::OfHealth;
+use crate::stand_in::{OfCompliance, OfHealth};
 use core::borrow::Borrow;
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
@@ -381,6 +383,10 @@ impl Simulator<'_, '_> {
             start,
             count,
             physics: unit.physics,
+            #[cfg(feature = "compliance")]
+            compliance: OfCompliance::new(unit.compliance),
+            #[cfg(not(feature = "compliance"))]
+            compliance: OfCompliance::new(Compliance::RIGID),
             role: unit.role,
             quarantine: OfHealth::new(Quarantine::None),
             is_ball,
@@ -449,6 +455,10 @@ impl Room {
         check_extent(number, unit.points)?;
         if !unit.physics.is_sound() {
             return Err(ObserveError::BadPhysics { unit: number });
+        }
+        #[cfg(feature = "compliance")]
+        if !unit.compliance.is_sound() {
+            return Err(ObserveError::BadCompliance { unit: number });
         }
         if !unit.has_sound_inertia() {
             return Err(ObserveError::BadInertia { unit: number });

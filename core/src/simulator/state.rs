@@ -5,10 +5,10 @@ use crate::error::WorkspaceError;
 use crate::limits::{Layout, Limits, MAX_PLANES};
 use crate::measure::Measure;
 use crate::model::Model;
-use crate::scene::Scene;
+use crate::scene::{Compliance, Scene};
 use crate::sizes::{Sizes, near_numbers};
 use crate::slabs::{SlabSizes, Slabs};
-use crate::stand_in::{OfHealth, OfHost};
+use crate::stand_in::{OfCompliance, OfHealth, OfHost};
 use crate::structure::Bonds;
 #[cfg(feature = "deform")]
 use crate::structure::bonds::BONDS;
@@ -170,7 +170,9 @@ impl<'m, 's> Simulator<'m, 's> {
                 points,
                 hulls,
                 planes: planes.clone(),
+                plane_compliance: OfCompliance::new([Compliance::RIGID; MAX_PLANES]),
                 measure: Measure::SI,
+                second: OfCompliance::new(1.0),
                 gravity,
                 dt: 0.0,
                 substeps: 1,
@@ -221,6 +223,13 @@ impl<'m, 's> Simulator<'m, 's> {
     /// The planes of the scene, z = 0 unless [others were set](Self::set_planes).
     pub fn planes(&self) -> &[Plane] {
         &self.given.planes
+    }
+
+    /// How contact with a plane gives way; `None`: there is no such plane.
+    #[cfg(feature = "compliance")]
+    pub fn plane_compliance(&self, plane: usize) -> Option<Compliance> {
+        self.given.planes.get(plane)?;
+        self.scene.plane_compliance.get()?.get(plane).copied()
     }
 
     /// Gravity, m/s^2.

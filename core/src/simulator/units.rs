@@ -43,6 +43,12 @@ impl<'a> UnitView<'a> {
         self.unit.physics
     }
 
+    /// How contact with it gives way.
+    #[cfg(feature = "compliance")]
+    pub fn compliance(&self) -> crate::Compliance {
+        self.unit.compliance()
+    }
+
     /// Pose in the current frame: carries its reference points to the world.
     pub fn pose(&self) -> Isometry3<f32> {
         in_own_environment(|| {

@@ -396,8 +396,11 @@ fn fit(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[
 
 /// Lifts a cluster out of planes, by the most that a unit of it has to be.
 fn lift(scene: &Scene<'_>, units: &[UnitSlot], cluster_root: usize, rows: &mut [[f32; STATE]]) {
-    for plane in &scene.planes {
+    for (place, plane) in scene.planes.iter().enumerate() {
         let most = members(units, cluster_root).fold(0.0_f32, |most, (number, unit)| {
+            if unit.gives_way_on(scene, place) {
+                return most;
+            }
             let pose = rows.get(number).map_or(unit.current, |row| read_pose(row));
             let points = scene.hull_of(unit);
             most.max(plane.lift_m(points, unit.radius, &unit.current, &pose))

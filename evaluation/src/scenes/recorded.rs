@@ -107,7 +107,8 @@ impl RecordedUnit {
     pub fn as_unit(&self) -> Unit<'_> {
         let Self { physics, role, body, inertia: inertia_kg_m2, .. } = *self;
         let pieces = self.pieces.view();
-        Unit { points: &self.points, physics, role, body, inertia_kg_m2, pieces, soft: None }
+        let unit = Unit::new(&self.points, physics);
+        Unit { role, body, inertia_kg_m2, pieces, ..unit }
     }
 
     /// World positions of its points at a frame, metres: as recorded for soft units, by the pose for rigid ones. `None` where the

@@ -38,6 +38,9 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], n
             let Some(from) = contact.from.filter(|_| place != Some(contact.place())) else {
                 continue;
             };
+            if contact.gives_way() {
+                continue;
+            }
             place = Some(contact.place());
             let moved = |unit| bodies.marks(unit).touched != Touched::Never;
             if !(moved(from) || moved(contact.to)) {
@@ -117,8 +120,8 @@ fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]
     }
     let mut now = State::read(row);
     now.shift(way);
-    for plane in world.planes() {
-        let low = lowest(world, unit, plane, &now.pose);
+    for (number, plane) in world.planes().iter().enumerate() {
+        let low = lowest(world, unit, (number, plane), &now.pose);
         if low < 0.0 {
             now.shift(&(plane.normal * -low));
         }
@@ -138,21 +141,26 @@ fn shift_together(world: &World<'_>, cluster_root: usize, way: &Vector3<f32>, ne
         }
     };
     move_all(way, next);
-    for plane in world.planes() {
+    for plane in world.planes().iter().enumerate() {
         let deepest = |low: f32, (number, unit): (usize, &UnitSlot)| {
             next.get(number).map_or(low, |row| low.min(lowest(world, unit, plane, &pose(row))))
         };
         let low = members(world.units, cluster_root).fold(0.0, deepest);
         if low < 0.0 {
-            move_all(&(plane.normal * -low), next);
+            move_all(&(plane.1.normal * -low), next);
         }
     }
 }
 
 /// Height of the lowest point of a unit over a plane where it is below that, else 0, metres.
-fn lowest(world: &World<'_>, unit: &UnitSlot, plane: &Plane, pose: &Pose) -> f32 {
+fn lowest(
+    world: &World<'_>,
+    unit: &UnitSlot,
+    (number, plane): (usize, &Plane),
+    pose: &Pose,
+) -> f32 {
     let height = plane.height_here(&pose.centre);
-    if height > unit.radius {
+    if height > unit.radius || world.gives_way_on(unit, number) {
         return 0.0;
     }
     let (local, height) = (rotate_back(&pose.rotation, &plane.normal), height - world.round(unit));

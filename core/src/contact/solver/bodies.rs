@@ -6,7 +6,7 @@ use crate::geometry::{
     POSE, Pose, STATE, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
 };
 use crate::math;
-use crate::scene::{Role, Scene, UnitSlot, members};
+use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
@@ -28,6 +28,15 @@ const HELD: f32 = 0.1;
 const REST: f32 = 0.02;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
+/// Radians of a contact's spring in a substep: more would cost it energy.
+#[cfg(feature = "compliance")]
+const PHASE: f32 = 0.25;
+/// Substeps of a step where contact gives way, at most: a bound on its time.
+#[cfg(feature = "compliance")]
+const MOST_GIVING_SUBSTEPS: u8 = 64;
+/// Weight of a unit by that of a corner of a box, about.
+#[cfg(feature = "compliance")]
+const CORNERS: f32 = 4.0;
 /// Of a coordinate: what a gap may be off. Units that fall into that in a step rest too, if they are not too fast.
 const ROUNDING: f32 = 4.0 * f32::EPSILON;
 /// Units keep this distance, in radii: hulls that do not overlap have an exact normal.
@@ -83,13 +92,140 @@ pub(super) struct World<'s> {
     pub(super) substeps: u8,
     /// Seconds of one.
     pub(super) substep_s: f32,
+    /// Whether any contact gives way.
+    #[cfg(feature = "compliance")]
+    gives_way: bool,
+}
+
+/// How a pair gives way.
+#[derive(Clone, Copy)]
+pub(super) struct Give {
+    /// 1 / stiffness, m/N; 0: it does not.
+    compliance: f32,
+    /// Times the dissipation, s/N.
+    lost: f32,
+}
+
+impl Give {
+    /// Of one of a pair.
+    #[inline(always)]
+    fn of(compliance: Compliance) -> Self {
+        if compliance.is_rigid() {
+            return Give { compliance: 0.0, lost: 0.0 };
+        }
+        let own = 1.0 / compliance.stiffness_n_m;
+        Give { compliance: own, lost: compliance.dissipation_s_m * own }
+    }
+
+    /// Two in series.
+    #[inline(always)]
+    fn and(self, other: Give) -> Self {
+        Give { compliance: self.compliance + other.compliance, lost: self.lost + other.lost }
+    }
+}
+
+/// A spring and a damper in the scene's measure.
+pub(super) struct Spring {
+    /// N/m
+    pub(super) stiffness: f32,
+    /// s/m
+    pub(super) dissipation: f32,
 }
 
 impl<'s> World<'s> {
     pub(super) fn new(scene: &'s Scene<'s>, first: usize, substeps: u8) -> Self {
         let (_, units) = scene.around(first);
         let substep_s = scene.dt / f32::from(substeps);
-        World { units, scene, gravity_size: norm(&scene.gravity), substeps, substep_s }
+        let gravity_size = norm(&scene.gravity);
+        World {
+            units,
+            scene,
+            gravity_size,
+            substeps,
+            substep_s,
+            #[cfg(feature = "compliance")]
+            gives_way: false,
+        }
+        .finer()
+    }
+
+    /// In as many substeps as the springs of contact want.
+    #[cfg(feature = "compliance")]
+    fn finer(self) -> Self {
+        let World { units, scene, .. } = self;
+        let own = |unit: &UnitSlot| self.stiffness(&Give::of(unit.compliance()));
+        let planes = (0..scene.planes.len())
+            .map(|plane| self.stiffness(&Give::of(scene.plane_compliance(plane))));
+        let stiffest = units.iter().map(own).chain(planes).fold(0.0, f32::max);
+        if stiffest == 0.0 {
+            return self;
+        }
+        // Of each free unit against the stiffest that it may touch: rad/s, squared.
+        let fastest = units.iter().filter(|unit| unit.is_free()).fold(0.0_f32, |fastest, unit| {
+            let own = own(unit);
+            fastest.max(CORNERS * if own > 0.0 { own } else { stiffest } / unit.mass)
+        });
+        let mut substeps = self.substeps;
+        let time = scene.dt / PHASE;
+        let wanted = fastest * (time * time);
+        while substeps < MOST_GIVING_SUBSTEPS && f32::from(substeps) * f32::from(substeps) < wanted
+        {
+            substeps += 1;
+        }
+        let substep_s = scene.dt / f32::from(substeps);
+        World { substeps, substep_s, gives_way: true, ..self }
+    }
+
+    /// As they are.
+    #[cfg(not(feature = "compliance"))]
+    #[inline(always)]
+    fn finer(self) -> Self {
+        self
+    }
+
+    /// Whether any contact gives way.
+    #[inline(always)]
+    pub(super) fn gives_way(&self) -> bool {
+        #[cfg(feature = "compliance")]
+        return self.gives_way;
+        #[cfg(not(feature = "compliance"))]
+        false
+    }
+
+    /// How two units give way where they touch.
+    #[inline(always)]
+    pub(super) fn give(&self, unit: &UnitSlot, other: &UnitSlot) -> Give {
+        Give::of(unit.compliance()).and(Give::of(other.compliance()))
+    }
+
+    /// Whether a unit and a plane give way.
+    #[inline(always)]
+    pub(super) fn gives_way_on(&self, unit: &UnitSlot, plane: usize) -> bool {
+        unit.gives_way_on(self.scene, plane)
+    }
+
+    /// How a unit and a plane give way.
+    #[inline(always)]
+    pub(super) fn give_on(&self, unit: &UnitSlot, plane: usize) -> Give {
+        Give::of(unit.compliance()).and(Give::of(self.scene.plane_compliance(plane)))
+    }
+
+    /// N/m in the scene's measure; 0: it does not give way.
+    #[inline(always)]
+    fn stiffness(&self, give: &Give) -> f32 {
+        let Some(second) = self.scene.second.get().filter(|_| give.compliance > 0.0) else {
+            return 0.0;
+        };
+        (second * second) / (self.scene.measure.mass() * give.compliance)
+    }
+
+    /// The spring of a pair; none where it does not give way.
+    #[inline(always)]
+    pub(super) fn spring(&self, give: &Give) -> Option<Spring> {
+        let stiffness = self.stiffness(give);
+        let second = self.scene.second.get().filter(|_| stiffness > 0.0)?;
+        let dissipation = (give.lost / give.compliance) * (self.scene.measure.length() / second);
+        Some(Spring { stiffness, dissipation })
     }
 
     pub(super) fn planes(&self) -> &'s [Plane] {
@@ -630,6 +766,14 @@ impl<'r> Bodies<'r> {
         way + turn.cross(arm)
     }
 
+    /// Keeps that a unit moves nearer to its velocity after the substep's impulses, by a share of 1, as rigid contact has it.
+    pub(super) fn hasten(&mut self, unit: usize, share: f32) {
+        let (mut before, after) = (self.shifted(unit), self.mover(unit));
+        before.velocity += (after.velocity - before.velocity) * share;
+        before.spin += (after.spin - before.spin) * share;
+        self.shifts(unit, &before);
+    }
+
     /// The unit as one whose velocity and spin are its way and turn out of others.
     pub(super) fn shifted(&self, unit: usize) -> Mover {
         let [velocity, spin] = self.shift(unit);
@@ -674,6 +818,8 @@ impl<'r> Bodies<'r> {
             }
             let mut mover = self.mover(number);
             let mut marks = self.marks(number);
+            // What gives way moves at the mean of the velocities before and after.
+            self.shifts(number, if world.gives_way() { &mover } else { &Mover::STILL });
             mover.lightness = unit.lightness();
             if unit.cluster_root().is_some() {
                 let cluster = self.keep_arms(world, number);
@@ -694,7 +840,6 @@ impl<'r> Bodies<'r> {
             }
             marks.level = if unit.is_free() { FAR } else { 0.0 };
             self.set_marks(number, &marks);
-            self.shifts(number, &Mover::STILL);
         }
     }
 
@@ -821,6 +966,8 @@ impl<'r> Bodies<'r> {
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn hold(&mut self, world: &World<'_>) {
         let (gravity, dt) = (&world.scene.gravity, world.scene.dt);
+        // What swings on springs is as slow at times.
+        let held = if world.gives_way() { HELD * SLIGHT } else { HELD };
         for (number, unit) in world.moved() {
             if self.is_left_out(number) {
                 continue;
@@ -829,7 +976,7 @@ impl<'r> Bodies<'r> {
             let velocity = velocity - gravity * (0.5 * dt);
             let radius = self.radius(world, (number, unit));
             let slow = Mover { velocity, spin, ..Mover::STILL }.speed(radius)
-                < HELD * world.gravity_size * dt;
+                < held * world.gravity_size * dt;
             let marks = self.marks(number);
             if marks.level >= FAR {
                 // At the top of a bounce it is slow, and does not rest.
@@ -839,6 +986,11 @@ impl<'r> Bodies<'r> {
                 let mut mover = self.mover(number);
                 mover.velocity -= gravity * (0.5 * dt);
                 self.moves(number, &mover);
+                if world.gives_way() {
+                    let mut before = self.shifted(number);
+                    before.velocity -= gravity * (0.5 * dt);
+                    self.shifts(number, &before);
+                }
             }
         }
     }
@@ -852,8 +1004,12 @@ impl<'r> Bodies<'r> {
                 continue;
             }
             let mover = self.mover(number);
-            let (mut way, turn) = (mover.velocity * time, mover.spin * time);
-            if unit.is_free() && self.marks(number).touched != Touched::Now {
+            let (mut way, mut turn) = (mover.velocity * time, mover.spin * time);
+            if world.gives_way() {
+                let [velocity, spin] = self.shift(number);
+                let half = 0.5 * time;
+                (way, turn) = ((mover.velocity + velocity) * half, (mover.spin + spin) * half);
+            } else if unit.is_free() && self.marks(number).touched != Touched::Now {
                 // A parabola, exactly.
                 way -= world.gravity_velocity_change() * (0.5 * time);
             }
@@ -861,6 +1017,10 @@ impl<'r> Bodies<'r> {
                 way += swing(&turn, &arm);
             }
             self.advance_by(number, unit, [way, turn]);
+        }
+        if world.gives_way() {
+            // They have been the velocities before.
+            self.shifts.as_flattened_mut().fill(0.0);
         }
     }
 

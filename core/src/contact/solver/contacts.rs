@@ -1,6 +1,6 @@
 //! Where units touch planes and each other in a substep.
 
-use super::bodies::{Bodies, Mover, World, rows};
+use super::bodies::{Bodies, Give, Mover, Spring, World, rows};
 use super::patch::{self, Patch, Slope};
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
@@ -19,6 +19,13 @@ pub(super) const FACE: f32 = 0.03;
 const APART: f32 = 0.02;
 /// Of a unit vector some component is at most 1 / sqrt(3). Crossing with its axis gives tangents that are far from zero.
 const SEED: f32 = 0.577;
+
+/// From this square of its phase (radians a substep) on a spring ends a substep where it would rest.
+const SETTLES: f32 = 4.0;
+/// How fast a spring is of so much impulse by a substep's way at a metre a second, kg.
+fn haste(weight: f32, spring: f32) -> f32 {
+    if spring < SETTLES * weight { spring / (SETTLES * weight) } else { 1.0 }
+}
 
 /// Numbers of a contact.
 pub(super) const CONTACT: usize = 25;
@@ -60,14 +67,15 @@ pub(super) struct Contact {
     /// Less what the units keep between them, metres.
     pub(super) gap: f32,
     pub(super) friction: f32,
-    /// Speed after a bounce, m/s; 0: it does not bounce.
+    /// Speed after a bounce, m/s; 0: it does not bounce. Below 0 the contact gives way, and this is less what a change of its speed
+    /// changes of the impulse of its spring and damper, kg.
     pub(super) rebound: f32,
     pub(super) normal: Vector3<f32>,
     /// The first tangent.
     pub(super) tangent: Vector3<f32>,
     /// Impulse for a change of velocity along the normal and both tangents, kg.
     pub(super) weight: [f32; 3],
-    /// Weight along the normal with one unit held, in weights.
+    /// Weight along the normal with one unit held, in weights; of one that gives way, the impulse of its spring as it is, N s.
     pub(super) stiffness: f32,
 }
 
@@ -129,6 +137,35 @@ impl Contact {
     pub(super) fn write_held(&self, row: &mut [f32; CONTACT]) {
         let [_, _, _, _, _, kind, .., stiffness] = row;
         (*kind, *stiffness) = (self.kind(), self.stiffness);
+    }
+
+    /// Makes it one that gives way.
+    #[inline]
+    fn give_way(&mut self, spring: &Spring, substep_s: f32) {
+        let Spring { stiffness, dissipation } = spring;
+        let ([weight, ..], pace) = (self.weight, stiffness * substep_s);
+        let depth = -self.gap;
+        // Of slow springs the depth half way counts, which keeps their energy, and of fast ones that at the end.
+        let late = 0.5 + 0.5 * haste(weight, pace * substep_s);
+        let damping = dissipation * if depth > 0.0 { depth } else { 0.0 };
+        self.stiffness = pace * depth;
+        self.rebound = -(pace * (damping + late * substep_s)).max(f32::MIN_POSITIVE);
+    }
+
+    /// How near it is to rigid contact, which moves units at the velocities that it leaves, from 0 to 1.
+    pub(super) fn haste(&self, substep_s: f32) -> f32 {
+        if !self.gives_way() {
+            return 1.0;
+        }
+        let ([weight, ..], depth) = (self.weight, -self.gap);
+        // Depth times stiffness and time is the spring's impulse.
+        if depth == 0.0 { 0.0 } else { haste(weight, self.stiffness / depth * substep_s) }
+    }
+
+    /// Whether it gives way.
+    #[inline(always)]
+    pub(super) fn gives_way(&self) -> bool {
+        cfg!(feature = "compliance") && self.rebound < 0.0
     }
 
     /// Whether it is one with a plane.
@@ -253,6 +290,7 @@ struct Pair {
     skin: f32,
     friction: f32,
     restitution: f32,
+    give: Give,
     /// Faster approaches bounce, m/s.
     bounces: f32,
 }
@@ -388,7 +426,7 @@ impl<'r> Contacts<'r> {
             if bodies.is_left_out(to) {
                 continue;
             }
-            for plane in world.planes() {
+            for plane in world.planes().iter().enumerate() {
                 self.with_plane(world, bodies, (to, unit), plane);
             }
         }
@@ -433,7 +471,7 @@ impl<'r> Contacts<'r> {
         world: &World<'_>,
         bodies: &Bodies<'_>,
         (to, unit): (usize, &UnitSlot),
-        plane: &Plane,
+        (number, plane): (usize, &Plane),
     ) {
         let (mover, pose) = (bodies.mover_there(to), bodies.pose(to));
         let normal = plane.normal;
@@ -464,6 +502,7 @@ impl<'r> Contacts<'r> {
             skin: 0.0,
             friction: unit.physics.friction * plane.friction,
             restitution: unit.physics.restitution * plane.restitution,
+            give: world.give_on(unit, number),
             bounces: world.bounces(unit.radius),
         };
         self.add(world, bodies, &pair, &patch);
@@ -603,7 +642,12 @@ impl<'r> Contacts<'r> {
         // Those of a cluster are counted from its centre.
         let shifts = [pair.from.and_then(|from| bodies.arm(from)), bodies.arm(pair.to)];
         let rounding = gap_rounding(world, bodies, pair);
+        let spring = world.spring(&pair.give);
         for (number, (point, gap)) in patch.points.iter().enumerate() {
+            // The corners of a patch have its springs.
+            if spring.is_some() && patch.has_middle && number == 0 {
+                continue;
+            }
             let Some(row) = self.rows.get_mut(self.count) else { return };
             // What pushes a plane turns nothing, whatever the arm.
             let mut arms = [*point, point - pair.apart];
@@ -634,6 +678,9 @@ impl<'r> Contacts<'r> {
                 let soft = to.inverse_mass_at(&other, &axis) + from.inverse_mass_at(&own, &axis);
                 if soft > 0.0 { 1.0 / soft } else { 0.0 }
             });
+            if let Some(spring) = &spring {
+                contact.give_way(spring, world.substep_s);
+            }
             contact.write(row);
             self.count += 1;
         }
@@ -717,6 +764,7 @@ impl<'a> Approach<'a> {
             skin: world.skin(small),
             friction: unit.physics.friction * other.physics.friction,
             restitution: unit.physics.restitution * other.physics.restitution,
+            give: world.give(unit, other),
             bounces: world.bounces(small),
         };
         Some(Approach { units: [unit, other], closing, way, margin, pair })

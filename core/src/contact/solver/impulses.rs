@@ -172,6 +172,9 @@ pub(super) fn rank(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
 
 /// Weight of a contact along its normal with the held unit held, in weights.
 fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
+    if contact.gives_way() {
+        return contact.stiffness;
+    }
     // With neither held, or on a plane, the weight is that of all sweeps.
     if contact.from.is_none() || held == Held::Neither {
         return 1.0;
@@ -257,6 +260,9 @@ fn normal_impulse(
     (goal, substep_s): (Goal, f32),
 ) -> Option<f32> {
     let [before, across, aside] = contact.impulse;
+    if contact.gives_way() {
+        return spring_impulse(contact, dot(leaving, &contact.normal), heavy, goal);
+    }
     let wanted = match goal {
         Goal::Bounce => contact.rebound,
         // An open gap allows just the approach that closes it in the substep.
@@ -264,6 +270,20 @@ fn normal_impulse(
     };
     let along = positive(before + (wanted - dot(leaving, &contact.normal)) * heavy);
     // None of them is negative.
+    ((along + before) + (across.abs() + aside.abs()) > 0.0).then_some(along)
+}
+
+/// As [`normal_impulse`], of a contact that gives way: what its spring and damper give with the speed at the end of the substep.
+#[inline]
+fn spring_impulse(contact: &Contact, speed: f32, heavy: f32, goal: Goal) -> Option<f32> {
+    let [before, across, aside] = contact.impulse;
+    // What has a spring bounces by it.
+    if goal != Goal::Stop {
+        return None;
+    }
+    let slope = -contact.rebound;
+    let missing = (contact.stiffness - slope * speed) - before;
+    let along = positive(before + missing * (heavy / (heavy + slope)));
     ((along + before) + (across.abs() + aside.abs()) > 0.0).then_some(along)
 }
 
@@ -356,7 +376,7 @@ fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goa
 
 /// Marks the units that impulses have moved. Whether any contact bounces.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(super) fn mark(bodies: &mut Bodies<'_>, contacts: &Contacts<'_>) -> bool {
+pub(super) fn mark(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &Contacts<'_>) -> bool {
     let mut bounces = false;
     for row in contacts.rows() {
         let contact = Contact::read(row);
@@ -364,6 +384,11 @@ pub(super) fn mark(bodies: &mut Bodies<'_>, contacts: &Contacts<'_>) -> bool {
         if along > 0.0 {
             contact.from.into_iter().chain([contact.to]).for_each(|unit| bodies.touch(unit));
             bounces |= contact.rebound > 0.0;
+            if world.gives_way() {
+                let haste = contact.haste(world.substep_s);
+                let units = contact.from.into_iter().chain([contact.to]);
+                units.for_each(|unit| bodies.hasten(unit, haste));
+            }
         }
     }
     bounces
@@ -377,6 +402,9 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
             let Some(contact) = contacts.ordered(rank).map(|row| Contact::read(row)) else {
                 continue;
             };
+            if contact.gives_way() {
+                continue;
+            }
             let ([own, other], normal) = (contact.arms, contact.normal);
             let gap = contact.gap + world.skin(radius(world, &contact));
             let mut apart = bodies.shift_at(contact.to, &other);

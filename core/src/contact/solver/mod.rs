@@ -146,7 +146,7 @@ fn in_substeps<S: Schedule>(
             bodies.hold(world);
         }
         impulses::stop(world, bodies, contacts);
-        let bounces = impulses::mark(bodies, contacts);
+        let bounces = impulses::mark(world, bodies, contacts);
         bodies.advance(world);
         if bounces {
             impulses::bounce(world, bodies, contacts);

@@ -9,19 +9,24 @@ use crate::geometry::{
     turn_between, turned,
 };
 use crate::kernels::{Portable, Serial};
+use crate::limits::MAX_PLANES;
 use crate::measure::Measure;
-use crate::scene::{Physics, Unit};
+use crate::scene::{Compliance, Physics, Unit};
+use crate::stand_in::OfCompliance;
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
 #[cfg(feature = "deform")]
 mod clusters;
+#[cfg(feature = "compliance")]
+mod giving;
 
 /// A scene with its memory, which goes on by the solver alone.
 struct World {
     slots: Vec<UnitSlot>,
     points: Vec<Point3<f32>>,
     planes: Vec<Plane>,
+    plane_compliance: [Compliance; MAX_PLANES],
     gravity: Vector3<f32>,
     dt: f32,
     scratch: Vec<f32>,
@@ -34,6 +39,7 @@ impl World {
             slots: Vec::new(),
             points: Vec::new(),
             planes: vec![Plane::ground(1.0, 1.0)],
+            plane_compliance: [Compliance::RIGID; MAX_PLANES],
             gravity: Vector3::new(0.0, 0.0, -9.81),
             dt,
             scratch: Vec::new(),
@@ -89,7 +95,9 @@ impl World {
             points: &mut [],
             hulls: &mut self.points,
             planes: self.planes.iter().copied().collect(),
+            plane_compliance: OfCompliance::new(self.plane_compliance),
             measure: Measure::SI,
+            second: OfCompliance::new(1.0),
             gravity: self.gravity,
             dt: self.dt,
             substeps: 1,

@@ -2,8 +2,8 @@
 
 use super::identity::identity;
 use super::layout::{
-    BALL, COMMANDED, COPY_BOND, COPY_COURSE, COPY_UNIT, END, HEAD, MAGIC, PAIR, PATCH, PIECES,
-    PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
+    BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, HEAD, MAGIC,
+    PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
@@ -11,7 +11,7 @@ use crate::error::SnapshotError;
 use crate::geometry::{COURSE, POSE, dot};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES};
 use crate::measure::{Measure, is_similar};
-use crate::scene::{Physics, Role};
+use crate::scene::{Compliance, Physics, Role};
 use crate::simulator::command::MAX_GRAVITY_M_S2;
 use crate::simulator::measure::Time;
 use crate::simulator::state::Simulator;
@@ -92,13 +92,40 @@ impl<'b> Checked<'b> {
     }
 
     pub(super) fn plane(&self, number: usize) -> Plane {
-        let at = HEAD + SCENE + number * PLANE;
+        let at = self.start_of_plane(number);
         let [offset_m, friction, restitution] = [3, 4, 5].map(|n| self.words.number(at + n));
         Plane { normal: self.words.vector(at), offset_m, friction, restitution }
     }
 
+    /// Words of how contact gives way, a plane and a unit.
+    fn compliance_words(&self) -> usize {
+        if self.flags() & GIVES_WAY != 0 { COMPLIANCE } else { 0 }
+    }
+
+    fn start_of_plane(&self, number: usize) -> usize {
+        HEAD + SCENE + number * (PLANE + self.compliance_words())
+    }
+
+    /// How contact with a plane gives way.
+    pub(super) fn plane_compliance(&self, number: usize) -> Compliance {
+        self.compliance(self.start_of_plane(number) + PLANE)
+    }
+
+    /// How contact with a unit gives way, whose numbers a copy has there.
+    pub(super) fn unit_compliance(&self, at: usize) -> Compliance {
+        self.compliance(at + COPY_UNIT)
+    }
+
+    fn compliance(&self, at: usize) -> Compliance {
+        if self.compliance_words() == 0 {
+            return Compliance::RIGID;
+        }
+        let [stiffness_n_m, dissipation_s_m] = [at, at + 1].map(|at| self.words.number(at));
+        Compliance { stiffness_n_m, dissipation_s_m }
+    }
+
     fn start_of_units(&self) -> usize {
-        HEAD + SCENE + self.planes * PLANE
+        self.start_of_plane(self.planes)
     }
 
     pub(super) fn unit(&self, number: usize) -> Record {
@@ -140,7 +167,8 @@ impl<'b> Checked<'b> {
     }
 
     fn words_of_copy(&self) -> usize {
-        let (units, bonds) = (self.units * COPY_UNIT, self.bonds * COPY_BOND);
+        let unit = COPY_UNIT + self.compliance_words();
+        let (units, bonds) = (self.units * unit, self.bonds * COPY_BOND);
         units
             .saturating_add(bonds)
             .saturating_add(self.command)
@@ -149,7 +177,9 @@ impl<'b> Checked<'b> {
 
     /// Where a copy has the numbers of a unit.
     pub(super) fn copy_unit(&self, copy: usize, unit: usize) -> usize {
-        self.start_of_copies + copy * self.words_of_copy() + unit * COPY_UNIT
+        self.start_of_copies
+            + copy * self.words_of_copy()
+            + unit * (COPY_UNIT + self.compliance_words())
     }
 
     pub(super) fn physics(&self, at: usize) -> Physics {
@@ -306,7 +336,9 @@ impl Simulator<'_, '_> {
     fn check_world(&self, checked: &mut Checked<'_>) -> Result<(), SnapshotError> {
         let config = self.model.config();
         for plane in 0..checked.planes {
-            ensure(checked.plane(plane).is_sound_here(), HEAD + SCENE + plane * PLANE)?;
+            let at = checked.start_of_plane(plane);
+            ensure(checked.plane(plane).is_sound_here(), at)?;
+            ensure(checked.plane_compliance(plane).is_sound(), at + PLANE)?;
         }
         let gravity = checked.gravity();
         ensure(gravity.iter().all(|g| g.abs() <= MAX_GRAVITY_M_S2), HEAD + 6)?;
@@ -335,7 +367,10 @@ impl Simulator<'_, '_> {
         if checked.flags() & QUARANTINES != 0 {
             return Err(SnapshotError::LeftOut);
         }
-        ensure(checked.flags() <= COMMANDED | QUARANTINES, HEAD + 4)
+        if cfg!(not(feature = "compliance")) && checked.flags() & GIVES_WAY != 0 {
+            return Err(SnapshotError::LeftOut);
+        }
+        ensure(checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY, HEAD + 4)
     }
 
     /// Names, and what hangs from what.
@@ -435,6 +470,7 @@ impl Simulator<'_, '_> {
         for (number, unit) in checked.records().enumerate() {
             let at = checked.copy_unit(copy, number);
             ensure(checked.physics(at).is_sound(), at)?;
+            ensure(checked.unit_compliance(at).is_sound(), at + COPY_UNIT)?;
             ensure(words.count(at + 3) <= MOST_BODY.max(checked.units + 1), at + 3)?;
             let is_held = words.word(at + 4);
             // Free units alone diverge.

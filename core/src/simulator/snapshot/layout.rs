@@ -31,6 +31,10 @@ pub(super) const END: usize = 2;
 pub(super) const COMMANDED: u32 = 1;
 /// Units that diverge are held.
 pub(super) const QUARANTINES: u32 = 2;
+/// Contact of a plane or a unit gives way: each of them has [`COMPLIANCE`] words more.
+pub(super) const GIVES_WAY: u32 = 4;
+/// Words of how contact gives way.
+pub(super) const COMPLIANCE: usize = 2;
 
 /// The solver takes the unit for a ball.
 pub(super) const BALL: u32 = 1 << 2;

@@ -20,10 +20,12 @@ mod words;
 use super::state::Simulator;
 use crate::error::SnapshotError;
 use crate::kernels::in_own_environment;
-use crate::scene::UnitSlot;
+use crate::scene::{Compliance, UnitSlot};
 use crate::slices::slice_at;
 use core::ops::Range;
-use layout::{BALL, COMMANDED, END, HEAD, MAGIC, PATCH, PIECES, QUARANTINES, VERSION, code_of};
+use layout::{
+    BALL, COMMANDED, END, GIVES_WAY, HEAD, MAGIC, PATCH, PIECES, QUARANTINES, VERSION, code_of,
+};
 use nalgebra::Vector3;
 use words::{Compare, Count, Sink, WORD, Writer};
 
@@ -173,6 +175,13 @@ impl Simulator<'_, '_> {
         Ok(needed)
     }
 
+    /// Whether contact of any plane or unit gives way, in any copy.
+    fn gives_way(&self) -> bool {
+        let Self { scene, given, .. } = self;
+        (0..given.planes.len()).any(|plane| !scene.plane_compliance(plane).is_rigid())
+            || scene.units().iter().any(|unit| !unit.compliance().is_rigid())
+    }
+
     /// What all copies share.
     fn write_scene<S: Sink>(&self, to: &mut S) {
         let Self { scene, given, sizes, .. } = self;
@@ -181,15 +190,19 @@ impl Simulator<'_, '_> {
         to.words(counts.map(|count| count as u32));
         let quarantines = self.quarantines.get().is_some_and(|holds| *holds);
         let commanded = if self.commanded { COMMANDED } else { 0 };
-        to.word(commanded | if quarantines { QUARANTINES } else { 0 });
+        let gives_way = if self.gives_way() { GIVES_WAY } else { 0 };
+        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | gives_way);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());
         to.number(scene.measure.mass());
         to.vector(&scene.measure.origin());
-        for plane in &given.planes {
+        for (number, plane) in given.planes.iter().enumerate() {
             to.vector(&plane.normal);
             to.numbers([plane.offset_m, plane.friction, plane.restitution]);
+            if gives_way > 0 {
+                write_compliance(&scene.plane_compliance(number), to);
+            }
         }
         units.iter().for_each(|unit| self.write_unit(units, unit, to));
         self.pairs().for_each(|pair| to.words(pair.map(|unit| unit as u32)));
@@ -247,6 +260,7 @@ impl Simulator<'_, '_> {
     fn write_copy<S: Sink>(&self, copy: usize, to: &mut S) {
         let Self { scene, lasting, sizes, .. } = self;
         let units = || scene.units().iter().skip(copy * scene.per_copy).take(scene.per_copy);
+        let gives_way = self.gives_way();
         for unit in units() {
             let physics = unit.physics;
             to.numbers([physics.mass_kg, physics.friction, physics.restitution]);
@@ -256,6 +270,9 @@ impl Simulator<'_, '_> {
                 to.pose(pose);
             }
             to.numbers(unit.course.row());
+            if gives_way {
+                write_compliance(&unit.compliance(), to);
+            }
         }
         #[cfg(feature = "deform")]
         for bond in self.bonds.of(copy) {
@@ -275,4 +292,9 @@ impl Simulator<'_, '_> {
             }
         }
     }
+}
+
+/// Writes how contact gives way.
+fn write_compliance<S: Sink>(compliance: &Compliance, to: &mut S) {
+    to.numbers([compliance.stiffness_n_m, compliance.dissipation_s_m]);
 }

@@ -3,10 +3,10 @@
 use super::check::Checked;
 use super::layout::{COMMANDED, COPY_COURSE, QUARANTINES};
 use crate::geometry::POSE;
-use crate::scene::{Quarantine, Role, UnitId, UnitSlot};
+use crate::scene::{Compliance, Quarantine, Role, UnitId, UnitSlot};
 use crate::simulator::state::Simulator;
 use crate::slices::slice_at_mut;
-use crate::stand_in::OfHealth;
+use crate::stand_in::{OfCompliance, OfHealth};
 use nalgebra::Point3;
 
 impl Simulator<'_, '_> {
@@ -19,6 +19,13 @@ impl Simulator<'_, '_> {
         for plane in 0..checked.planes {
             // No more than there is room for.
             let _ = self.given.planes.push(checked.plane(plane));
+        }
+        if let Some(all) = self.scene.plane_compliance.get_mut() {
+            let planes = (0..).map(|plane| match plane < checked.planes {
+                true => checked.plane_compliance(plane),
+                false => Compliance::RIGID,
+            });
+            all.iter_mut().zip(planes).for_each(|(place, compliance)| *place = compliance);
         }
         self.given.gravity = checked.gravity();
         self.set_measure(checked.measure);
@@ -108,6 +115,7 @@ impl Simulator<'_, '_> {
         for (number, slot) in slots.take(checked.units).enumerate() {
             let at = checked.copy_unit(from, number);
             slot.set_physics(checked.physics(at), &measure);
+            slot.compliance = OfCompliance::new(checked.unit_compliance(at));
             slot.body = words.word(at + 3);
             match words.word(at + 4) {
                 0 => slot.set_quarantine(Quarantine::None, checked.unit(number).role),

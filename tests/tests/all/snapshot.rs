@@ -3,8 +3,8 @@
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{
-    Joint, Limits, Model, NoTrace, Observed, Physics, Pieces, Plane, Portable, Role, Serial,
-    Simulator, SlabSizes, SnapshotError, Unit, UnitId,
+    Compliance, EditError, Joint, Limits, Model, NoTrace, Observed, Physics, Pieces, Plane,
+    Portable, Role, Serial, Simulator, SlabSizes, SnapshotError, Unit, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
@@ -197,6 +197,48 @@ fn bounces_robots_bonds_and_what_is_held_go_on_as_they_would_have() {
         simulator.step().unwrap();
         let held = simulator.units().filter(|unit| unit.is_quarantined()).count();
         assert_eq!(held, 1);
+    });
+}
+
+/// A stiffness and a dissipation of planes and of units, which snapshots of rigid scenes have no room for.
+#[test]
+fn contact_that_gives_way_goes_on_as_it_would_have() {
+    let give = |stiffness_n_m| Compliance { stiffness_n_m, dissipation_s_m: 1.5 };
+    check(rigidformer_weights::EDGE, 400, |simulator| {
+        let ids = workshop(simulator);
+        let rigid = simulator.snapshot_bytes();
+        simulator.set_plane_compliance(0, give(8e3)).unwrap();
+        simulator.set_compliance(ids[0], give(2e4)).unwrap();
+        simulator.set_compliance(ids[7], give(f32::INFINITY)).unwrap();
+        assert!(simulator.snapshot_bytes() > rigid);
+        assert_eq!(simulator.plane_compliance(0), Some(give(8e3)));
+        assert_eq!(simulator.get(ids[0]).unwrap().compliance(), give(2e4));
+    });
+}
+
+#[test]
+fn compliance_out_of_range_is_refused_and_nothing_changes() {
+    with_simulator(rigidformer_weights::EDGE, 400, |simulator| {
+        let ids = workshop(simulator);
+        let before = taken(simulator);
+        let cube = cuboid([0.0; 3], [0.1; 3]);
+        let (here, unit) = (at(0.0, 0.0, 9.0), Unit::new(&cube, WOOD));
+        let bad =
+            [(-1.0, 0.0), (1e-4, 0.0), (1e13, 0.0), (f32::NAN, 0.0), (1e4, -1.0), (1e4, f32::NAN)];
+        for (stiffness_n_m, dissipation_s_m) in bad {
+            let bad = Compliance { stiffness_n_m, dissipation_s_m };
+            let errors = [
+                simulator.set_compliance(ids[0], bad).unwrap_err().to_string(),
+                simulator.set_plane_compliance(1, bad).unwrap_err().to_string(),
+                simulator.add(&unit.compliance(bad), &here, &here).unwrap_err().to_string(),
+            ];
+            for error in errors {
+                assert!(error.contains("stiffness") && error.contains("dissipation"), "{error}");
+            }
+        }
+        let error = simulator.set_plane_compliance(2, Compliance::RIGID).unwrap_err();
+        assert_eq!(error, EditError::NoSuchPlane { plane: 2, planes: 2 });
+        assert!(same(&taken(simulator), &before));
     });
 }
 

@@ -58,7 +58,7 @@ impl Compliance {
     }
 
     /// Whether both numbers are in range.
-    pub(crate) fn is_sound(&self) -> bool {
+    pub fn is_sound(&self) -> bool {
         (self.is_rigid() || (1e-3..=1e12).contains(&self.stiffness_n_m))
             && (0.0..=1e6).contains(&self.dissipation_s_m)
     }

@@ -477,7 +477,10 @@ impl<'s> Replay<'s> {
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
                 // Unknown planes leave the model's ground in place.
-                scene.planes().map_or(Ok(()), |planes| simulator.set_planes(planes))
+                let Some(planes) = scene.planes() else { return Ok(()) };
+                simulator.set_planes(planes)?;
+                let mut all = scene.plane_compliance().iter().enumerate();
+                all.try_for_each(|(plane, own)| simulator.set_plane_compliance(plane, *own))
             })
         })?;
         Ok(replay)

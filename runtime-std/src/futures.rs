@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
-    CommandError, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed, Role,
-    SnapshotError, StepError, StepReport, UnitId, Velocity,
+    CommandError, Compliance, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed,
+    Role, SnapshotError, StepError, StepReport, UnitId, Velocity,
 };
 
 use crate::engine::Engine;
@@ -45,6 +45,8 @@ pub struct Start<'a> {
     pub command: &'a [f32],
     /// Planes; the model's ground where there are none given.
     pub planes: Option<&'a [Plane]>,
+    /// How contact with each of `planes` gives way; none: all are rigid.
+    pub plane_compliance: &'a [Compliance],
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
     /// Pivots at which units are held together; [`pivots::find`] finds some.
@@ -546,6 +548,9 @@ impl BatchSimulator {
             }
             if let Some(planes) = start.planes {
                 simulator.set_planes(planes)?;
+                for (plane, compliance) in start.plane_compliance.iter().enumerate() {
+                    simulator.set_plane_compliance(plane, *compliance)?;
+                }
             }
             if let Some(gravity) = start.gravity_m_s2 {
                 simulator.set_gravity(gravity)?;

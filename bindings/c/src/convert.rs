@@ -1,5 +1,7 @@
 //! What C hands in as the core takes it, and back.
 
+#[cfg(feature = "compliance")]
+use crate::types::rf_compliance;
 use crate::types::rf_status::{
     RF_ERROR_BAD_BODY, RF_ERROR_BAD_ROLE, RF_ERROR_NOT_SOFT, RF_ERROR_POINT_COUNTS,
 };
@@ -251,6 +253,14 @@ pub(crate) fn body(number: i32) -> Result<Option<u16>, rf_detail> {
             let found = i64::from(number) as u64;
             Err(rf_detail::numbers(RF_ERROR_BAD_BODY, found, RF_MAX_BODY as u64))
         }
+    }
+}
+
+#[cfg(feature = "compliance")]
+impl From<rf_compliance> for rigidformer_core::Compliance {
+    fn from(compliance: rf_compliance) -> Self {
+        let rf_compliance { stiffness_n_m, dissipation_s_m } = compliance;
+        Self { stiffness_n_m, dissipation_s_m }
     }
 }
 

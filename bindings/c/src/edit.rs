@@ -5,12 +5,14 @@ use crate::arrays::{fits, with_simulator};
 use crate::convert::{self, isometry};
 #[cfg(not(feature = "deform"))]
 use crate::types::rf_status::RF_ERROR_NO_BONDS;
+#[cfg(not(feature = "compliance"))]
+use crate::types::rf_status::RF_ERROR_NO_COMPLIANCE;
 #[cfg(not(feature = "robot"))]
 use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
-    RF_MAX_PLANES, rf_bonded, rf_detail, rf_physics, rf_plane, rf_pose, rf_simulator, rf_unit,
-    rf_unit_id, rf_velocity,
+    RF_MAX_PLANES, rf_bonded, rf_compliance, rf_detail, rf_physics, rf_plane, rf_pose,
+    rf_simulator, rf_unit, rf_unit_id, rf_velocity,
 };
 #[cfg(feature = "robot")]
 use nalgebra::Point3;
@@ -206,6 +208,92 @@ pub unsafe extern "C" fn rf_set_physics(
             Ok(locked.simulator().set_physics(UnitId::from_bits(id), physics)?)
         })
     }
+}
+
+/// Changes how contact with a unit gives way; without this call it is rigid. rf_observe makes it rigid again.
+///
+/// @param simulator   the simulator
+/// @param id          which unit
+/// @param compliance  how contact with it gives way from now on
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_COMPLIANCE or
+///         RF_ERROR_NO_COMPLIANCE. Where it is refused, the unit is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_compliance(
+    simulator: *mut rf_simulator,
+    id: rf_unit_id,
+    compliance: *const rf_compliance,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let compliance = locked.one(compliance)?;
+            set_compliance(locked.simulator(), id, compliance)
+        })
+    }
+}
+
+/// Changes how contact with a plane gives way; it lasts until rf_set_planes, which makes all rigid.
+///
+/// @param simulator   the simulator
+/// @param plane       which plane, from 0, in the order of rf_set_planes
+/// @param compliance  how contact with it gives way from now on
+/// @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_PLANE, RF_ERROR_BAD_COMPLIANCE or
+///         RF_ERROR_NO_COMPLIANCE. Where it is refused, the plane is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_plane_compliance(
+    simulator: *mut rf_simulator,
+    plane: u32,
+    compliance: *const rf_compliance,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let compliance = locked.one(compliance)?;
+            set_plane_compliance(locked.simulator(), plane, compliance)
+        })
+    }
+}
+
+#[cfg(feature = "compliance")]
+fn set_compliance(
+    simulator: &mut Simulator<'_, '_>,
+    id: rf_unit_id,
+    compliance: rf_compliance,
+) -> Result<(), rf_detail> {
+    Ok(simulator.set_compliance(UnitId::from_bits(id), compliance.into())?)
+}
+
+#[cfg(not(feature = "compliance"))]
+fn set_compliance(
+    _: &mut Simulator<'_, '_>,
+    _: rf_unit_id,
+    _: rf_compliance,
+) -> Result<(), rf_detail> {
+    Err(RF_ERROR_NO_COMPLIANCE.into())
+}
+
+#[cfg(feature = "compliance")]
+fn set_plane_compliance(
+    simulator: &mut Simulator<'_, '_>,
+    plane: u32,
+    compliance: rf_compliance,
+) -> Result<(), rf_detail> {
+    Ok(simulator.set_plane_compliance(plane as usize, compliance.into())?)
+}
+
+#[cfg(not(feature = "compliance"))]
+fn set_plane_compliance(
+    _: &mut Simulator<'_, '_>,
+    _: u32,
+    _: rf_compliance,
+) -> Result<(), rf_detail> {
+    Err(RF_ERROR_NO_COMPLIANCE.into())
 }
 
 /// Changes who moves a unit. A unit that becomes free goes on with the motion of its last step. A

@@ -23,7 +23,8 @@
 //! | `robot` | models that see robots from their heading; `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
 //! | `deform` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`); `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
-//! | `host` | all models, also those whose network sees what is in contact, such as edge; and the three above |
+//! | `compliance` | `rf_set_compliance` and `rf_set_plane_compliance`, which otherwise return `RF_ERROR_NO_COMPLIANCE` |
+//! | `host` | all models, also those whose network sees what is in contact, such as edge; and the four above |
 //! | `tracker` | `std`, and `rf_tracker_...` of `include/rigidformer_tracker.h`, in memory of its own |
 #![no_std]
 #![deny(

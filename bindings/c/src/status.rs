@@ -112,6 +112,8 @@ impl From<ObserveError> for rf_detail {
             ObserveError::BadPose { unit } => Self::of(RF_ERROR_BAD_POSE).at(unit),
             ObserveError::Coincident { unit } => Self::of(RF_ERROR_COINCIDENT).at(unit),
             ObserveError::BadPhysics { unit } => Self::of(RF_ERROR_BAD_PHYSICS).at(unit),
+            #[cfg(feature = "compliance")]
+            ObserveError::BadCompliance { unit } => Self::of(RF_ERROR_BAD_COMPLIANCE).at(unit),
             ObserveError::BadInertia { unit } => Self::of(RF_ERROR_BAD_INERTIA).at(unit),
             ObserveError::TooManyPieces { unit, found, limit } => {
                 Self::numbers(RF_ERROR_TOO_MANY_PIECES, found as u64, limit as u64).at(unit)
@@ -153,6 +155,14 @@ impl From<EditError> for rf_detail {
                 Self::numbers(RF_ERROR_TOO_MANY_PLANES, found as u64, limit as u64)
             }
             EditError::BadPlane { plane } => Self::of(RF_ERROR_BAD_PLANE).index(plane as u32),
+            #[cfg(feature = "compliance")]
+            EditError::BadPlaneCompliance { plane } => {
+                Self::of(RF_ERROR_BAD_COMPLIANCE).index(plane as u32)
+            }
+            #[cfg(feature = "compliance")]
+            EditError::NoSuchPlane { plane, planes } => {
+                Self::numbers(RF_ERROR_NO_SUCH_PLANE, plane as u64, planes as u64)
+            }
             EditError::BadGravity => Self::of(RF_ERROR_BAD_GRAVITY),
             // A simulator of this interface has one copy of its scene.
             _ => Self::of(RF_ERROR_OTHER),
@@ -341,6 +351,9 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BOND_MOTION, c"the model does not move units that hold together"),
     (RF_ERROR_NO_BONDS, c"this library was built without bonds"),
     (RF_ERROR_NO_HEALTH, c"this library was built without health"),
+    (RF_ERROR_BAD_COMPLIANCE, c"a contact stiffness or dissipation is out of its range"),
+    (RF_ERROR_NO_SUCH_PLANE, c"the scene has no plane of that number"),
+    (RF_ERROR_NO_COMPLIANCE, c"this library was built without compliance"),
     (RF_ERROR_BAD_VARIANCE, c"a variance is not above 0 and at most 1e12"),
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),

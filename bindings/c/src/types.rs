@@ -218,6 +218,15 @@ pub enum rf_status {
     /// id `found`, or velocities `found` and `expected`.
     RF_ERROR_BAD_VELOCITY = 114,
 
+    /// A contact stiffness is neither 0 (rigid) nor from 1e-3 to 1e12 N/m, or a dissipation is outside 0 to
+    /// 1e6 s/m. Detail: `unit`, or which plane, in `index`.
+    RF_ERROR_BAD_COMPLIANCE = 115,
+    /// The scene has no plane of that number. Detail: the number `found`, planes in `expected`.
+    RF_ERROR_NO_SUCH_PLANE = 116,
+    /// The library was built without compliance: the feature `compliance` of rigidformer-capi, which `std`
+    /// has.
+    RF_ERROR_NO_COMPLIANCE = 117,
+
     /// A unit cannot be bonded to itself. Detail: the id `found`.
     RF_ERROR_BOND_ITSELF = 120,
     /// Only free rigid units hold together. Detail: the id `found`.
@@ -296,6 +305,18 @@ pub struct rf_physics {
     pub friction: f32,
     /// Restitution coefficient, from 0 to 1000.
     pub restitution: f32,
+}
+
+/// How contact with a unit or a plane gives way: at a depth d that changes by d' a second, each contact
+/// point pushes with `stiffness d (1 + dissipation d')` newtons, and never pulls. Two that touch give way in
+/// series. Where one gives way, restitution counts for nothing.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_compliance {
+    /// At a contact point, N/m, from 1e-3 to 1e12; 0 or infinite: rigid.
+    pub stiffness_n_m: f32,
+    /// s/m, from 0 to 1e6.
+    pub dissipation_s_m: f32,
 }
 
 /// A pose, whose quaternion has w last: x = rotate(quaternion, reference point) + position. Poses of

@@ -51,6 +51,8 @@ const PHYSICS: usize = 3;
 ///     For models that take one.
 /// planes : sequence of Plane, optional
 ///     None: the model's ground.
+/// plane_compliance : sequence of (float, float)
+///     Stiffness, N/m, and dissipation, s/m, of contact with each plane. None given: all are rigid.
 /// gravity_m_s2 : array, (3,), optional
 ///     None: the model's.
 /// pivots : sequence of Pivot
@@ -80,6 +82,7 @@ pub(crate) struct Start {
     current: Vec<Isometry3<f32>>,
     command: Vec<f32>,
     planes: Option<Vec<core::Plane>>,
+    plane_compliance: Vec<core::Compliance>,
     gravity_m_s2: Option<Vector3<f32>>,
     pivots: Vec<Pivot>,
 }
@@ -105,6 +108,7 @@ impl Start {
             units,
             command: &self.command,
             planes: self.planes.as_deref(),
+            plane_compliance: &self.plane_compliance,
             gravity_m_s2: self.gravity_m_s2,
             pivots: &self.pivots,
         }
@@ -124,6 +128,7 @@ impl Start {
             current: Vec::new(),
             command: Vec::new(),
             planes: None,
+            plane_compliance: Vec::new(),
             gravity_m_s2: None,
             pivots: Vec::new(),
         }
@@ -133,7 +138,7 @@ impl Start {
 #[pymethods]
 impl Start {
     #[new]
-    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, gravity_m_s2 = None, pivots = Vec::new(), state = None))]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, plane_compliance = Vec::new(), gravity_m_s2 = None, pivots = Vec::new(), state = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         dt_s: f32,
@@ -142,6 +147,7 @@ impl Start {
         current: &Bound<'_, PyAny>,
         command: Option<&Bound<'_, PyAny>>,
         planes: Option<Vec<Bound<'_, Plane>>>,
+        plane_compliance: Vec<(f32, f32)>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         pivots: Vec<Bound<'_, bonds::Pivot>>,
         state: Option<(Vec<u8>, usize, usize)>,
@@ -165,6 +171,13 @@ impl Start {
             units,
             command,
             planes: planes.map(|planes| planes_of(&planes)),
+            plane_compliance: plane_compliance
+                .into_iter()
+                .map(|(stiffness_n_m, dissipation_s_m)| core::Compliance {
+                    stiffness_n_m,
+                    dissipation_s_m,
+                })
+                .collect(),
             gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
             pivots: pivots.iter().map(|pivot| pivot.get().found()).collect(),
         })
@@ -232,6 +245,7 @@ impl Start {
             current,
             command: scene.command_of_step(frame, frame.saturating_add(step)).unwrap_or_default(),
             planes: scene.planes().map(<[core::Plane]>::to_vec),
+            plane_compliance: scene.plane_compliance().to_vec(),
             gravity_m_s2: Some(scene.gravity_m_s2()),
             pivots,
         })
@@ -253,6 +267,9 @@ impl Start {
         let more = PyDict::new(py);
         more.set_item("command", command)?;
         more.set_item("planes", own)?;
+        let compliance = |own: &core::Compliance| (own.stiffness_n_m, own.dissipation_s_m);
+        let compliance: Vec<_> = self.plane_compliance.iter().map(compliance).collect();
+        more.set_item("plane_compliance", compliance)?;
         more.set_item("gravity_m_s2", gravity)?;
         more.set_item("pivots", pivots)?;
         if let Some(state) = &self.state {

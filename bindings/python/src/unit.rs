@@ -4,7 +4,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use numpy::PyArrayDyn;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
-use rigidformer_core::{self as core, Physics, Role};
+use rigidformer_core::{self as core, Compliance, Physics, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::RecordedUnit;
 
@@ -30,6 +30,11 @@ use crate::whole;
 ///     Units of one body do not collide with each other; 0 to 65534. None: a body of its own.
 /// inertia_kg_m2 : array, (3,), optional
 ///     Principal moments about axes along those of the points' frame. None: those of a box around the points.
+/// stiffness_n_m : float
+///     How contact with it gives way: newtons a metre of depth at each contact point, from 1e-3 to 1e12. 0: it is rigid.
+///     Where it gives way, restitution counts for nothing.
+/// dissipation_s_m : float
+///     What such contact loses, s/m, from 0 to 1e6.
 /// pieces : sequence of arrays of float32, (n, 3)
 ///     Convex pieces that a hollow unit touches with; at most 32 of 4 to 255 points. None given: the hull of its points.
 /// rest : array of float32, (n, 3), optional
@@ -60,6 +65,7 @@ pub(crate) struct Unit {
     role: Role,
     body: Option<u16>,
     inertia_kg_m2: Option<[f32; 3]>,
+    compliance: Compliance,
     pieces: ConvexPieces,
     soft: Option<Soft>,
 }
@@ -84,6 +90,7 @@ impl Unit {
             role: self.role,
             body: self.body,
             inertia_kg_m2: self.inertia_kg_m2,
+            compliance: self.compliance,
             pieces: self.pieces.view(),
             soft: self
                 .soft
@@ -107,6 +114,7 @@ impl Unit {
             role: self.role,
             body: self.body,
             inertia: self.inertia_kg_m2,
+            compliance: self.compliance,
             pieces: self.pieces.clone(),
             soft,
             young_pa: self.soft.as_ref().map(|soft| soft.young_pa),
@@ -124,6 +132,7 @@ impl Unit {
             role: unit.role,
             body: unit.body,
             inertia_kg_m2: unit.inertia,
+            compliance: unit.compliance,
             pieces: unit.pieces.clone(),
             soft: young_pa.map(|young_pa| Soft { rest: unit.points.clone(), young_pa }),
         }
@@ -138,7 +147,7 @@ impl Unit {
 #[pymethods]
 impl Unit {
     #[new]
-    #[pyo3(signature = (points, mass_kg = 1.0, friction = 0.5, restitution = 0.4, *, role = "free", body = None, inertia_kg_m2 = None, pieces = Vec::new(), rest = None, young_pa = None))]
+    #[pyo3(signature = (points, mass_kg = 1.0, friction = 0.5, restitution = 0.4, *, role = "free", body = None, inertia_kg_m2 = None, stiffness_n_m = 0.0, dissipation_s_m = 0.0, pieces = Vec::new(), rest = None, young_pa = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         points: &Bound<'_, PyAny>,
@@ -148,6 +157,8 @@ impl Unit {
         role: &str,
         #[pyo3(from_py_with = whole::body)] body: Option<u16>,
         inertia_kg_m2: Option<Bound<'_, PyAny>>,
+        stiffness_n_m: f32,
+        dissipation_s_m: f32,
         pieces: Vec<Bound<'_, PyAny>>,
         rest: Option<Bound<'_, PyAny>>,
         young_pa: Option<f32>,
@@ -176,6 +187,7 @@ impl Unit {
             role: role_of(role)?,
             body,
             inertia_kg_m2: inertia.transpose()?.map(Into::into),
+            compliance: Compliance { stiffness_n_m, dissipation_s_m },
             pieces: pieces.collect::<PyResult<ConvexPieces>>()?,
             soft,
         })
@@ -227,6 +239,18 @@ impl Unit {
         self.physics.restitution
     }
 
+    /// Stiffness of its contact points, N/m; 0: it is rigid.
+    #[getter]
+    fn stiffness_n_m(&self) -> f32 {
+        self.compliance.stiffness_n_m
+    }
+
+    /// Dissipation of its contact points, s/m.
+    #[getter]
+    fn dissipation_s_m(&self) -> f32 {
+        self.compliance.dissipation_s_m
+    }
+
     /// Who moves it: "free", "driven" or "fixed".
     #[getter]
     fn role(&self) -> &'static str {
@@ -263,6 +287,8 @@ impl Unit {
         more.set_item("role", self.role())?;
         more.set_item("body", self.body)?;
         more.set_item("inertia_kg_m2", self.inertia_kg_m2)?;
+        more.set_item("stiffness_n_m", self.compliance.stiffness_n_m)?;
+        more.set_item("dissipation_s_m", self.compliance.dissipation_s_m)?;
         more.set_item("pieces", self.pieces.iter().map(array).collect::<PyResult<Vec<_>>>()?)?;
         if let Some(soft) = &self.soft {
             more.set_item("rest", array(&soft.rest)?)?;

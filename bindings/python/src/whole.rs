@@ -40,6 +40,6 @@ macro_rules! whole {
 
 whole! {
     a_step active_units approach body bonds clusters commands confirm copy count degenerate_units frame frames futures height hold id
-    index iterations last last_frame limit memory missed model_points pair pairs parent passed points quarantined_units seed size step
+    index iterations last last_frame limit memory missed model_points pair pairs parent passed plane points quarantined_units seed size step
     steps targets threads unit units unusable which width
 }

@@ -9,7 +9,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_core::{
-    self as core, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId, Velocity,
+    self as core, Compliance, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId, Velocity,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::Kernel;
@@ -973,6 +973,49 @@ impl World {
     ) -> PyResult<()> {
         let (id, physics) = (UnitId::from_bits(id), Physics { mass_kg, friction, restitution });
         self.lock(py)?.edit(|simulator| simulator.set_physics(id, physics)).or_raise()
+    }
+
+    /// Changes how contact with a unit gives way (``Unit``): N/m from 1e-3 to 1e12, or 0 (rigid), and s/m from 0 to 1e6.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     No unit has this id, or a number is out of range; the unit is what it was.
+    ///
+    /// Source: ``core/src/simulator/command.rs``.
+    #[pyo3(signature = (id, stiffness_n_m, dissipation_s_m = 0.0))]
+    fn set_compliance(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+        stiffness_n_m: f32,
+        dissipation_s_m: f32,
+    ) -> PyResult<()> {
+        let compliance = Compliance { stiffness_n_m, dissipation_s_m };
+        let id = UnitId::from_bits(id);
+        self.lock(py)?.edit(|simulator| simulator.set_compliance(id, compliance)).or_raise()
+    }
+
+    /// As ``set_compliance``, of one of the ``planes``, by its number from 0. New planes are rigid.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     There is no such plane, or a number is out of range; the plane is what it was.
+    ///
+    /// Source: ``core/src/simulator/command.rs``.
+    #[pyo3(signature = (plane, stiffness_n_m, dissipation_s_m = 0.0))]
+    fn set_plane_compliance(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::plane)] plane: usize,
+        stiffness_n_m: f32,
+        dissipation_s_m: f32,
+    ) -> PyResult<()> {
+        let compliance = Compliance { stiffness_n_m, dissipation_s_m };
+        self.lock(py)?
+            .edit(|simulator| simulator.set_plane_compliance(plane, compliance))
+            .or_raise()
     }
 
     /// Changes who moves a unit: "free", "driven" or "fixed".

@@ -158,7 +158,7 @@ def sound_calls(nano, scene, folder, random):
         "Model.quantised": (nano.quantised, {"dtype": "i8", "wide": [], "narrow": []}),
         "Unit": (rf.Unit, {
             "points": cube(), "mass_kg": 1.0, "friction": 0.5, "restitution": 0.4, "role": "free", "body": 1,
-            "inertia_kg_m2": np.ones(3, f32), "pieces": [cube()], "rest": cube(), "young_pa": 1e4,
+            "inertia_kg_m2": np.ones(3, f32), "stiffness_n_m": 1e4, "dissipation_s_m": 4.0, "pieces": [cube()], "rest": cube(), "young_pa": 1e4,
         }),
         "Unit.with_points": (unit.with_points, {"points": cube()}),
         "Plane": (rf.Plane, {"normal": np.array([0, 0, 1], f32), "offset_m": 0.0, "friction": 0.5, "restitution": 0.4}),
@@ -184,6 +184,10 @@ def sound_calls(nano, scene, folder, random):
         "World.copy": (world.copy, {}),
         "World.start": (world.start, {}),
         "World.set_physics": (world.set_physics, {"id": first, "mass_kg": 2.0, "friction": 0.5, "restitution": 0.4}),
+        "World.set_compliance": (world.set_compliance, {"id": first, "stiffness_n_m": 1e4, "dissipation_s_m": 4.0}),
+        "World.set_plane_compliance": (
+            world.set_plane_compliance, {"plane": 0, "stiffness_n_m": 1e4, "dissipation_s_m": 4.0}
+        ),
         "World.bond": (world.bond, {"pairs": [(first, second)]}),
         "World.break_bond": (world.break_bond, {"pair": (first, second)}),
         "World.join": (

@@ -273,7 +273,8 @@ def values() -> dict:
     scene = rf.Dataset.embedded().scene(0)
     soft_unit = rf.Unit(cube(), 2.0, rest=0.9 * cube(), young_pa=1e4, body=5)
     hollow = rf.Unit(
-        cube(), 0.3, 0.1, 0.7, role="fixed", body=3, inertia_kg_m2=[1, 2, 3], pieces=[cube(0.1), cube(0.1) + 0.3]
+        cube(), 0.3, 0.1, 0.7, role="fixed", body=3, inertia_kg_m2=[1, 2, 3], pieces=[cube(0.1), cube(0.1) + 0.3],
+        stiffness_n_m=1e4, dissipation_s_m=4.0,
     )
     posed = at(1, 2, 3)
     camera = rf.Camera(4, 3, 2.5, 2.25, 1.75, 1.5, posed)
@@ -304,7 +305,10 @@ def values() -> dict:
     bonded = rf.Scene([rf.Unit(cube(), body=1)] * 2, np.tile(at(), (3, 2, 1)), 24, bonds=[(0, 1, 2)])
     return {
         "soft unit": (soft_unit, ["points", "mass_kg", "rest", "young_pa", "body"]),
-        "hollow unit": (hollow, ["points", "mass_kg", "friction", "restitution", "role", "body"]),
+        "hollow unit": (
+            hollow,
+            ["points", "mass_kg", "friction", "restitution", "role", "body", "stiffness_n_m", "dissipation_s_m"],
+        ),
         "plane": (rf.Plane([0, 0.6, 0.8], 0.1, 0.2, 0.3), ["normal", "offset_m", "friction", "restitution"]),
         "noise": (rf.VelocityNoise(2**63, 0.1, 0.2), ["seed", "linear_m_s", "angular_rad_s"]),
         "parameter": (rf.Parameter(0.1, 0.2, low=-1), ["mean", "deviation", "low", "high"]),

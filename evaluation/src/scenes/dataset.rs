@@ -7,14 +7,15 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{Physics, Plane, Role};
+use rigidformer_core::{Compliance, Physics, Plane, Role};
 use rigidformer_runtime::files::{FileError, read_whole};
 use rigidformer_runtime::memory::{Budget, TooLarge};
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    FileCommands, Listed, POSE_NUMBERS, Shape, Unit, read_bonds, read_commands, read_list,
-    read_pieces, read_planes, read_pose, read_roles, read_scene_frames, read_shapes, read_units,
+    FileCommands, Listed, POSE_NUMBERS, Shape, Unit, read_bonds, read_commands, read_compliance,
+    read_list, read_pieces, read_planes, read_pose, read_roles, read_scene_frames, read_shapes,
+    read_units,
 };
 use super::recorded::{SoftMesh, only_ground};
 use super::{Problem, RecordedBond, RecordedScene, RecordedUnit, SceneError, Split};
@@ -45,6 +46,8 @@ pub struct Dataset {
     version: u32,
     /// Planes of all scenes.
     planes: Vec<Plane>,
+    /// Of each of them, where files have it.
+    plane_compliance: Vec<Compliance>,
     /// (scenes + 1) as `scene_units`; `None`: every scene has all planes.
     scene_planes: Option<Vec<usize>>,
     /// Numbers in a command, (scenes, frames, numbers)
@@ -160,10 +163,14 @@ impl Dataset {
             );
         }
         // Files of version 1 have one ground, which their metadata describe.
+        let mut plane_compliance = Vec::new();
         let (planes, scene_planes, commands, scene_frames) = if version == 1 {
             (vec![read_ground(&file)?], None, None, None)
         } else {
             let (planes, scene_planes) = read_planes(&file, scenes)?;
+            if file.has("plane_compliance") {
+                plane_compliance = read_compliance(&file, "plane_compliance", planes.len())?;
+            }
             let commands = read_commands(&file, scenes, frames)?;
             (planes, Some(scene_planes), commands, read_scene_frames(&file, scenes, frames)?)
         };
@@ -213,6 +220,7 @@ impl Dataset {
             gravity_m_s2,
             version,
             planes,
+            plane_compliance,
             scene_planes,
             commands,
             provenance,
@@ -256,6 +264,15 @@ impl Dataset {
     /// Version of the format that the file is written in, 1 or 2.
     pub fn version(&self) -> u32 {
         self.version
+    }
+
+    /// How contact with each of a scene's planes gives way; nothing where files do not say it.
+    fn plane_compliance_of(&self, index: usize) -> &[Compliance] {
+        let rows = self
+            .scene_planes
+            .as_ref()
+            .and_then(|rows| Some(*rows.get(index)?..*rows.get(index.checked_add(1)?)?));
+        rows.and_then(|rows| self.plane_compliance.get(rows)).unwrap_or_default()
     }
 
     /// The planes of a scene; a scene of version 1 has the ground, the plane z = 0.
@@ -551,6 +568,7 @@ impl Dataset {
                 young_pa: known.young_pa,
                 velocity: known.velocity,
                 inertia: known.inertia,
+                compliance: known.compliance,
                 pieces: shape
                     .pieces
                     .iter()
@@ -571,6 +589,7 @@ impl Dataset {
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
             .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec())
+            .with_checked_plane_compliance(self.plane_compliance_of(index).to_vec())
             .with_checked_mesh(self.mesh_of(index))
             .with_checked_bonds(self.bonds_of(index));
         let Some(FileCommands { size, values, set_points }) = &self.commands else {

@@ -135,6 +135,14 @@ pub enum Problem {
         /// Plane within the scene.
         plane: usize,
     },
+    /// A plane that gives way by numbers out of range.
+    #[error(
+        "plane {plane} needs a stiffness from 1e-3 to 1e12 N/m, or 0 (rigid), and a dissipation from 0 to 1e6 s/m"
+    )]
+    BadPlaneCompliance {
+        /// Plane within the scene.
+        plane: usize,
+    },
     /// A row of a soft body's mesh put together wrongly.
     #[error("row {row} of {list} {what}")]
     BadMesh {
@@ -195,6 +203,7 @@ impl Problem {
             Problem::Inconsistent(_)
             | Problem::BadUnit { .. }
             | Problem::BadPlane { .. }
+            | Problem::BadPlaneCompliance { .. }
             | Problem::BadMesh { .. }
             | Problem::BadBond { .. } => "correct the scene before using it",
             Problem::TooManyPlanes { .. } => "keep at most 8 planes a scene",

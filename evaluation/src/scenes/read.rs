@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{Compliance, MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 
 use super::check::{Tensors, elements};
 use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia, row_problem};
@@ -39,6 +39,7 @@ pub(super) struct Unit {
     pub(super) young_pa: Option<f32>,
     pub(super) velocity: Option<Velocity>,
     pub(super) inertia: Option<[f32; 3]>,
+    pub(super) compliance: Compliance,
 }
 
 pub(super) fn read_shapes(file: &Tensors<'_>) -> Result<Vec<Shape>, SceneError> {
@@ -149,6 +150,7 @@ pub(super) fn read_units(file: &Tensors<'_>, shapes: usize) -> Result<Vec<Unit>,
             young_pa: None,
             velocity,
             inertia,
+            compliance: Compliance::RIGID,
         });
     }
     Ok(units)
@@ -228,7 +230,33 @@ pub(super) fn read_roles(file: &Tensors<'_>, units: &mut [Unit]) -> Result<(), S
             }
         }
     }
+    if file.has("unit_compliance") {
+        let all = read_compliance(file, "unit_compliance", count)?;
+        units.iter_mut().zip(all).for_each(|(unit, compliance)| unit.compliance = compliance);
+    }
     Ok(())
+}
+
+/// (rows, 2) How contact with units or planes gives way.
+pub(super) fn read_compliance(
+    file: &Tensors<'_>,
+    name: &'static str,
+    rows: usize,
+) -> Result<Vec<Compliance>, SceneError> {
+    let (_, numbers) = file.f32(name, [Some(rows), Some(2)])?;
+    let numbers = numbers.as_chunks::<2>().0.iter().enumerate();
+    numbers
+        .map(|(row, [stiffness_n_m, dissipation_s_m])| {
+            let [stiffness_n_m, dissipation_s_m] = [*stiffness_n_m, *dissipation_s_m];
+            let compliance = Compliance { stiffness_n_m, dissipation_s_m };
+            let expected = "a stiffness from 1e-3 to 1e12 N/m, or 0 (rigid), and a dissipation from 0 to 1e6 s/m";
+            let value = || format!("{:?}", [stiffness_n_m, dissipation_s_m]);
+            match compliance.is_sound() {
+                true => Ok(compliance),
+                false => Err(file.bad_value(name, row, value(), expected)),
+            }
+        })
+        .collect()
 }
 
 /// How many of its `frames` frames each scene was recorded for; `None`: all.

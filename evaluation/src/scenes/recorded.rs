@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
+use rigidformer_core::{Compliance, MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
 use rigidformer_runtime::pivots::Pivot;
 
 use super::bonds::{RecordedBond, clusters};
@@ -76,6 +76,8 @@ pub struct RecordedUnit {
     /// Principal moments of inertia, kg m^2, through its centre about axes along those of its points; `None`: those of a
     /// uniform box around them.
     pub inertia: Option<[f32; 3]>,
+    /// How contact with it gives way.
+    pub compliance: Compliance,
     /// Convex pieces that it touches with, in the body frame, metres; none: it is the hull of its points.
     pub pieces: ConvexPieces,
 }
@@ -99,16 +101,17 @@ impl RecordedUnit {
             young_pa: None,
             velocity: None,
             inertia: None,
+            compliance: Compliance::RIGID,
             pieces: ConvexPieces::default(),
         }
     }
 
     /// As a simulator takes it.
     pub fn as_unit(&self) -> Unit<'_> {
-        let Self { physics, role, body, inertia: inertia_kg_m2, .. } = *self;
+        let Self { physics, role, body, inertia: inertia_kg_m2, compliance, .. } = *self;
         let pieces = self.pieces.view();
         let unit = Unit::new(&self.points, physics);
-        Unit { role, body, inertia_kg_m2, pieces, ..unit }
+        Unit { role, body, inertia_kg_m2, pieces, compliance, ..unit }
     }
 
     /// World positions of its points at a frame, metres: as recorded for soft units, by the pose for rigid ones. `None` where the
@@ -151,6 +154,11 @@ impl RecordedUnit {
     /// The same unit, which touches with convex pieces.
     pub fn with_pieces(self, pieces: ConvexPieces) -> Self {
         Self { pieces, ..self }
+    }
+
+    /// The same unit, with contact that gives way.
+    pub fn with_compliance(self, compliance: Compliance) -> Self {
+        Self { compliance, ..self }
     }
 
     /// The same unit with known moments of inertia, kg m^2.
@@ -221,6 +229,8 @@ pub struct RecordedScene {
     units: Vec<RecordedUnit>,
     frames: usize,
     planes: Option<Vec<Plane>>,
+    /// Of each plane; none: all are rigid.
+    plane_compliance: Vec<Compliance>,
     commands: Option<Commands>,
     pivots: Vec<Pivot>,
     mesh: SoftMesh,
@@ -289,6 +299,7 @@ impl RecordedScene {
             units,
             frames,
             planes,
+            plane_compliance: Vec::new(),
             commands,
             pivots,
             mesh: SoftMesh::default(),
@@ -407,7 +418,47 @@ impl RecordedScene {
 
     /// The same scene between planes that a file's reader has checked.
     pub(super) fn with_checked_planes(self, planes: Vec<Plane>) -> Self {
-        Self { planes: Some(planes), ..self }
+        Self { planes: Some(planes), plane_compliance: Vec::new(), ..self }
+    }
+
+    /// The same scene, with planes that give way: the stiffness and the dissipation of each.
+    ///
+    /// # Errors
+    /// [`Problem::Inconsistent`] unless there is one for each plane, [`Problem::BadPlaneCompliance`] for one out of range.
+    ///
+    /// ```
+    /// use rigidformer_core::{Compliance, Plane};
+    /// # use nalgebra::{Isometry3, Point3, Vector3};
+    /// # use rigidformer_core::Physics;
+    /// # use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
+    /// # let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    /// # let unit = RecordedUnit::new("x", vec![Point3::origin(); 4], physics, vec![Isometry3::identity()]);
+    /// # let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::zeros(), vec![unit])?;
+    /// let mat = Compliance { stiffness_n_m: 2_000.0, dissipation_s_m: 1.0 };
+    /// let scene = scene.with_planes(vec![Plane::ground(0.3, 0.5)])?.with_plane_compliance(vec![mat])?;
+    /// assert_eq!(scene.plane_compliance(), [mat]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_plane_compliance(self, all: Vec<Compliance>) -> Result<Self, SceneError> {
+        if self.planes().map_or(0, <[Plane]>::len) != all.len() {
+            let text = "needs the compliance of each of its planes";
+            return Err(in_memory(self.name, Problem::Inconsistent(text)));
+        }
+        match all.iter().position(|compliance| !compliance.is_sound()) {
+            Some(plane) => Err(in_memory(self.name, Problem::BadPlaneCompliance { plane })),
+            None => Ok(self.with_checked_plane_compliance(all)),
+        }
+    }
+
+    /// The same scene with what a file's reader has checked.
+    pub(super) fn with_checked_plane_compliance(self, all: Vec<Compliance>) -> Self {
+        let rigid = all.iter().all(Compliance::is_rigid);
+        Self { plane_compliance: if rigid { Vec::new() } else { all }, ..self }
+    }
+
+    /// How contact with each plane gives way; none: all are rigid.
+    pub fn plane_compliance(&self) -> &[Compliance] {
+        &self.plane_compliance
     }
 
     /// The same scene with other units and planes, which are checked as those of a new one.
@@ -421,8 +472,8 @@ impl RecordedScene {
         let new =
             Self::checked(self.name.clone(), kind, self.frame_rate_hz, self.gravity_m_s2, units)?;
         let new = planes.map_or(Ok(new.clone()), |planes| new.with_planes(planes))?;
-        let Self { commands, pivots, mesh, bonds, .. } = self.clone();
-        Ok(Self { commands, pivots, mesh, bonds, ..new })
+        let Self { plane_compliance, commands, pivots, mesh, bonds, .. } = self.clone();
+        Ok(Self { plane_compliance, commands, pivots, mesh, bonds, ..new })
     }
 
     /// The same scene with a command of `size` numbers per frame, `values` (frames, size).
@@ -665,6 +716,11 @@ fn unit_problem(index: usize, unit: &RecordedUnit) -> Option<Problem> {
     if unit.inertia.is_some_and(|moments| !is_inertia(moments)) {
         return bad(
             "needs moments of inertia that are finite, above 0 and at most the sum of the other two",
+        );
+    }
+    if !unit.compliance.is_sound() {
+        return bad(
+            "needs a stiffness from 1e-3 to 1e12 N/m, or 0 (rigid), and a dissipation from 0 to 1e6 s/m",
         );
     }
     let pieces = &unit.pieces;

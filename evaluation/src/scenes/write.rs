@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use rigidformer_core::Role;
+use rigidformer_core::{Compliance, Role};
 use rigidformer_runtime::files::{FileError, write_whole};
 use serde_json::{Map, Value, json};
 
@@ -101,6 +101,12 @@ impl Layout {
         self.tensor(name, "F32", shape, values.map(|value| value.to_le_bytes().to_vec()));
     }
 
+    /// (rows, 2)
+    fn compliance(&mut self, name: &str, rows: impl ExactSizeIterator<Item = Compliance>) {
+        let shape = [rows.len(), 2];
+        self.f32(name, &shape, rows.flat_map(|row| [row.stiffness_n_m, row.dissipation_s_m]));
+    }
+
     fn i32(&mut self, name: &str, values: impl ExactSizeIterator<Item = i32>) {
         let shape = [values.len()];
         self.tensor(name, "I32", &shape, values.map(|value| value.to_le_bytes().to_vec()));
@@ -139,10 +145,13 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let commands = scene.command_size() > 0;
     let velocities = scene.has_velocities();
     let inertias = units.iter().any(|unit| unit.inertia.is_some());
+    let gives_way = units.iter().any(|unit| unit.compliance != Compliance::RIGID);
+    let planes_give_way = !scene.plane_compliance().is_empty();
     let pieces = units.iter().any(|unit| !unit.pieces.is_empty());
     let (mesh, bonds) = (scene.mesh(), scene.bonds());
     let bonded = !bonds.is_empty();
     let more = roles || bodies || soft || commands || velocities || inertias || pieces || bonded;
+    let more = more || gives_way || planes_give_way;
     // Version 1 has one ground and no other tensors, and older programs read it.
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
@@ -193,6 +202,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         });
         layout.f32("planes", &[planes.len(), 6], numbers);
     }
+    if planes_give_way {
+        layout.compliance("plane_compliance", scene.plane_compliance().iter().copied());
+    }
     if pieces {
         let points: Vec<_> = units.iter().flat_map(|unit| unit.pieces.points()).collect();
         let numbers = points.iter().flat_map(|point| [point.x, point.y, point.z]);
@@ -215,6 +227,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
             }
         }
         layout.f32("soft_points", &[rows, frames, 3], numbers.into_iter());
+    }
+    if gives_way {
+        layout.compliance("unit_compliance", units.iter().map(|unit| unit.compliance));
     }
     if inertias {
         let moments = units.iter().flat_map(|unit| unit.inertia.unwrap_or_default());

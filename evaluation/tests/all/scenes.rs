@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use rigidformer_core::{Physics, Plane, Role};
+use rigidformer_core::{Compliance, Physics, Plane, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{
     Dataset, Problem, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split,
@@ -254,6 +254,8 @@ fn two_pieces() -> ConvexPieces {
 }
 
 /// A scene of version 2 with everything that version 1 has not.
+const FOAM: Compliance = Compliance { stiffness_n_m: 500.0, dissipation_s_m: 0.5 };
+
 fn everything() -> RecordedScene {
     everything_as_stiff_as([Some(4e5), Some(5e4)])
 }
@@ -269,7 +271,7 @@ fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
     let mut shelf = unit(6.0, 5).with_role(Role::Fixed);
     shelf.poses.fill(Isometry3::translation(6.0, 0.5, 1.0));
     let units = vec![
-        unit(0.0, 4).with_body(7).with_inertia([2e-3, 3e-3, 4e-3]),
+        unit(0.0, 4).with_body(7).with_inertia([2e-3, 3e-3, 4e-3]).with_compliance(FOAM),
         RecordedUnit { young_pa: sheet, ..unit(1.0, 6) }
             .with_soft(soft_points(6))
             .with_pieces(two_pieces()),
@@ -295,6 +297,8 @@ fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
     RecordedScene::new("drop seed 42", 42, Split::Extra, 59.94, gravity, units)
         .unwrap()
         .with_planes(vec![Plane::ground(0.3, 0.5), wall])
+        .unwrap()
+        .with_plane_compliance(vec![Compliance::RIGID, FOAM])
         .unwrap()
         .with_commands(2, commands)
         .unwrap()
@@ -788,6 +792,30 @@ fn moments_of_inertia_are_those_of_a_body_or_zeros() {
         assert!(matches!(error.problem, Problem::BadUnit { unit: 1, .. }), "{error}");
         assert!(error.to_string().contains("moments of inertia"), "{error}");
     }
+}
+
+#[test]
+fn compliance_is_in_its_range() {
+    for name in ["unit_compliance", "plane_compliance"] {
+        for (element, value) in [(2, 1e-4), (2, -1.0), (2, 2e12), (3, -0.5), (1, 1e7)] {
+            let (field, found) = spoilt(name, element, f32::to_le_bytes(value));
+            assert_eq!(field, format!("tensor {name}"));
+            let row = element / 2;
+            assert!(matches!(found, Problem::BadValue { row: at, .. } if at == row), "{found}");
+            assert!(found.to_string().contains("stiffness"), "{found}");
+        }
+    }
+    let bad = Compliance { stiffness_n_m: -1.0, ..FOAM };
+    let units = vec![unit(0.0, 4).with_compliance(bad)];
+    let made = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::zeros(), units);
+    assert!(matches!(made.unwrap_err().problem, Problem::BadUnit { unit: 0, .. }));
+    let of_planes = |all: Vec<Compliance>| everything().with_plane_compliance(all).unwrap_err();
+    assert!(matches!(of_planes(vec![FOAM]).problem, Problem::Inconsistent(_)));
+    let found = of_planes(vec![FOAM, bad]).problem;
+    assert!(matches!(found, Problem::BadPlaneCompliance { plane: 1 }), "{found}");
+    // New planes are rigid.
+    let scene = everything().with_planes(vec![Plane::ground(0.3, 0.5)]).unwrap();
+    assert!(scene.plane_compliance().is_empty());
 }
 
 /// A file with one more tensor of the type I64 at its end.

@@ -51,6 +51,7 @@ fn run(arguments: &Walk) -> anyhow::Result<()> {
         dt_s: arguments.step as f32 / scene.frame_rate_hz(),
         units: &units,
         planes: scene.planes(),
+        plane_compliance: scene.plane_compliance(),
         gravity_m_s2: Some(scene.gravity_m_s2()),
         pivots: scene.pivots(),
         ..Start::default()

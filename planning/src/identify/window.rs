@@ -387,6 +387,7 @@ impl Window {
             dt_s: self.dt_s,
             units: &units,
             planes: Some(&scene.planes),
+            plane_compliance: &scene.plane_compliance,
             gravity_m_s2: Some(scene.gravity),
             ..Start::default()
         };

@@ -146,7 +146,7 @@ mod tests {
 
     /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `bindings/c/src/status.rs`
     /// makes codes of them.
-    const REFUSALS: [(&str, &[&str]); 15] = [
+    const REFUSALS: [(&str, &[&str]); 17] = [
         ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
         ("rf_remove", &["NO_SUCH_ID", "DEFORMS"]),
         ("rf_drive", &["NO_SUCH_ID", "NOT_DRIVEN", "BAD_POSE"]),
@@ -158,6 +158,8 @@ mod tests {
             &["TOO_MANY_UNITS", "TOO_MANY_POINTS", "TOO_MANY_BONDS", "STATE", "STATE_FEATURE"],
         ),
         ("rf_set_physics", &["NO_SUCH_ID", "BAD_PHYSICS"]),
+        ("rf_set_compliance", &["NO_SUCH_ID", "BAD_COMPLIANCE", "NO_COMPLIANCE"]),
+        ("rf_set_plane_compliance", &["NO_SUCH_PLANE", "BAD_COMPLIANCE", "NO_COMPLIANCE"]),
         ("rf_set_role", &["NO_SUCH_ID", "BAD_ROLE", "BONDED", "DEFORMS"]),
         ("rf_set_planes", &["TOO_MANY_PLANES", "BAD_PLANE"]),
         ("rf_set_gravity", &["BAD_GRAVITY", "BAD_TIMESTEP"]),

@@ -10,8 +10,8 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
-    Joint, Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator, SlabSizes,
-    Slabs, Unit, UnitSlot,
+    Compliance, Joint, Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator,
+    SlabSizes, Slabs, Unit, UnitSlot,
 };
 use rigidformer_weights::{FeatureSet, ModelConfig, Motion};
 use std::ptr::{null, null_mut};
@@ -114,6 +114,10 @@ fn physics(p: rf_physics) -> Physics {
     Physics { mass_kg: p.mass_kg, friction: p.friction, restitution: p.restitution }
 }
 
+fn compliance(c: rf_compliance) -> Compliance {
+    Compliance { stiffness_n_m: c.stiffness_n_m, dissipation_s_m: c.dissipation_s_m }
+}
+
 fn isometry(x: f32, z: f32) -> Isometry3<f32> {
     Isometry3::translation(x, 0.0, z)
 }
@@ -187,6 +191,14 @@ fn changes_have_the_bits_of_the_core() {
                 restitution: plane.restitution,
             };
             core.set_planes(&[plane(WALL), plane(ramp)]).unwrap();
+            both(core);
+
+            let mat = rf_compliance { stiffness_n_m: 2e3, dissipation_s_m: 1.0 };
+            assert_eq!(rf_set_plane_compliance(handle, 1, &mat), RF_OK);
+            core.set_plane_compliance(1, compliance(mat)).unwrap();
+            let foam = rf_compliance { stiffness_n_m: 5e2, dissipation_s_m: 0.5 };
+            assert_eq!(rf_set_compliance(handle, cube, &foam), RF_OK);
+            core.set_compliance(named[1], compliance(foam)).unwrap();
             both(core);
 
             assert_eq!(rf_set_gravity(handle, [0.5, 0.0, -3.0].as_ptr()), RF_OK);
@@ -483,6 +495,19 @@ fn bad_changes_are_refused() {
             let heavy = rf_physics { mass_kg: 1e10, ..RUBBER };
             let numbers = check(rf_set_physics(handle, cube, &heavy), RF_ERROR_BAD_PHYSICS);
             assert_eq!(numbers.unit, 1);
+            for (stiffness_n_m, dissipation_s_m) in
+                [(-1.0, 0.0), (1e-4, 0.0), (1e13, 0.0), (f32::NAN, 0.0), (1e4, -1.0), (0.0, 1e7)]
+            {
+                let bad = rf_compliance { stiffness_n_m, dissipation_s_m };
+                let numbers = check(rf_set_compliance(handle, cube, &bad), RF_ERROR_BAD_COMPLIANCE);
+                assert_eq!(numbers.unit, 1);
+                let status = rf_set_plane_compliance(handle, 0, &bad);
+                assert_eq!(check(status, RF_ERROR_BAD_COMPLIANCE).index, 0);
+            }
+            let soft = rf_compliance { stiffness_n_m: 1e4, dissipation_s_m: 4.0 };
+            let numbers = check(rf_set_plane_compliance(handle, 1, &soft), RF_ERROR_NO_SUCH_PLANE);
+            assert_eq!((numbers.found, numbers.expected), (1, 1));
+            check(rf_set_compliance(handle, cube, core::ptr::null()), RF_ERROR_NULL);
             let numbers = check(rf_set_role(handle, cube, 3), RF_ERROR_BAD_ROLE);
             assert_eq!((numbers.found, numbers.unit), (3, RF_NONE));
             let nine =

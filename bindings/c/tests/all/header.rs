@@ -68,6 +68,7 @@ fn sizes_are_those_of_rust() {
         ("rf_plane", size_of::<rf_plane>()),
         ("rf_bonded", size_of::<rf_bonded>()),
         ("rf_detail", size_of::<rf_detail>()),
+        ("rf_compliance", size_of::<rf_compliance>()),
         ("rf_physics", size_of::<rf_physics>()),
         ("rf_pose", size_of::<rf_pose>()),
         ("rf_velocity", size_of::<rf_velocity>()),

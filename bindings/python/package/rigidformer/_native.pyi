@@ -109,6 +109,8 @@ class Unit:
         role: _Role = "free",
         body: Optional[int] = None,
         inertia_kg_m2: Optional[_Numbers] = None,
+        stiffness_n_m: float = 0.0,
+        dissipation_s_m: float = 0.0,
         pieces: Sequence[_Numbers] = ...,
         rest: Optional[_Numbers] = None,
         young_pa: Optional[float] = None,
@@ -126,6 +128,10 @@ class Unit:
     def role(self) -> _Role: ...
     @property
     def body(self) -> Optional[int]: ...
+    @property
+    def stiffness_n_m(self) -> float: ...
+    @property
+    def dissipation_s_m(self) -> float: ...
     @property
     def rest(self) -> Optional[_Floats]: ...
     @property
@@ -252,6 +258,12 @@ class World:
     def copy(self) -> World: ...
     def set_physics(
         self, id: int, mass_kg: float, friction: float, restitution: float
+    ) -> None: ...
+    def set_compliance(
+        self, id: int, stiffness_n_m: float, dissipation_s_m: float = 0.0
+    ) -> None: ...
+    def set_plane_compliance(
+        self, plane: int, stiffness_n_m: float, dissipation_s_m: float = 0.0
     ) -> None: ...
     def bond(self, pairs: Sequence[_Pair]) -> None: ...
     def break_bond(self, pair: _Pair) -> bool: ...
@@ -398,6 +410,7 @@ class Start:
         *,
         command: Optional[_Numbers] = None,
         planes: Optional[Sequence[Plane]] = None,
+        plane_compliance: Sequence[tuple[float, float]] = ...,
         gravity_m_s2: Optional[_Numbers] = None,
         pivots: Sequence[Pivot] = ...,
         state: Optional[tuple[bytes, int, int]] = None,

@@ -19,8 +19,8 @@ const FORMAT: &str = "rigidformer-contact";
 const VERSION: &str = "1";
 /// Bytes of a file, at most: notes take most of them.
 const MOST_BYTES: usize = 1 << 20;
-/// Least friction or restitution of a plane that a unit's own can be told by: with less, a product of 2 asks for more than the 1000 that a
-/// unit may have.
+/// Least friction or restitution of a plane that a unit's own can be told by. With less, a product of 2 asks for more than the 1000 that
+/// the core takes.
 const LEAST_COEFFICIENT: f32 = 2e-3;
 /// A unit counts as a ball where its points reach this share of its radius in all directions, as in the solver.
 const BALL: f32 = 0.975;

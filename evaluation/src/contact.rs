@@ -4,7 +4,8 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
+use rigidformer_core::geometry::{centre_of_mass, radius};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Plane, Role};
 use rigidformer_runtime::files::{FileError, read_whole, shown};
@@ -18,10 +19,13 @@ const FORMAT: &str = "rigidformer-contact";
 const VERSION: &str = "1";
 /// Bytes of a file, at most: notes take most of them.
 const MOST_BYTES: usize = 1 << 20;
-/// Least friction or restitution of a plane that a unit's own can be told by.
-const LEAST_COEFFICIENT: f32 = 1e-3;
+/// Least friction or restitution of a plane that a unit's own can be told by. With less, a product of 2 asks for more than the 1000 that
+/// the core takes.
+const LEAST_COEFFICIENT: f32 = 2e-3;
 /// A unit counts as a ball where its points reach this share of its radius in all directions, as in the solver.
 const BALL: f32 = 0.975;
+/// Subdivision of the octahedron whose lattice points those directions are, as in the solver.
+const LATTICE: i32 = 8;
 
 /// How a search steps through a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,7 +141,12 @@ pub const NUMBERS: [Number; 6] = [
         spread: 0.15,
         get: |_| 1.0,
         set: |parts, value| {
-            parts.free().for_each(|unit| unit.inertia = Some(moments(unit).map(|of| of * value)))
+            // Of a factor of 1 the solver's own moments stay, to the bit.
+            if value != 1.0 {
+                parts
+                    .free()
+                    .for_each(|unit| unit.inertia = Some(moments(unit).map(|of| of * value)));
+            }
         },
         needs_plane: false,
     },
@@ -147,10 +156,21 @@ pub const NUMBERS: [Number; 6] = [
 struct Parts {
     units: Vec<RecordedUnit>,
     planes: Vec<Plane>,
-    gravity_m_s2: Vector3<f32>,
+    /// The place of the plane that things lie on, before any is tilted: of parallel ones another would come first afterwards.
+    table: Option<usize>,
 }
 
 impl Parts {
+    fn of(scene: &RecordedScene) -> Parts {
+        let planes = scene.planes().unwrap_or_default().to_vec();
+        let down = scene.gravity_m_s2();
+        let rising = |plane: &Plane| -plane.normal.dot(&down);
+        // Of equal ones the first, so that the order of a file decides.
+        let best = planes.iter().map(rising).fold(f32::NEG_INFINITY, f32::max);
+        let table = planes.iter().position(|plane| rising(plane) >= best);
+        Parts { units: scene.units().to_vec(), planes, table }
+    }
+
     fn free(&mut self) -> impl Iterator<Item = &mut RecordedUnit> {
         self.units.iter_mut().filter(|unit| unit.role == Role::Free)
     }
@@ -163,11 +183,7 @@ impl Parts {
 
     /// The plane that things lie on.
     fn table(&mut self) -> Option<&mut Plane> {
-        let down = self.gravity_m_s2;
-        let rising = |plane: &Plane| -plane.normal.dot(&down);
-        // Of equal ones the first, so that the order of a file decides.
-        let best = self.planes.iter().map(rising).fold(f32::NEG_INFINITY, f32::max);
-        self.planes.iter_mut().find(|plane| rising(plane) >= best)
+        self.planes.get_mut(self.table?)
     }
 
     /// Tilts the table about its point that is nearest to the origin.
@@ -207,26 +223,43 @@ fn moments(unit: &RecordedUnit) -> [f32; 3] {
     if let Some(own) = unit.inertia {
         return own;
     }
-    let [low, high] = bounds(unit);
-    let (middle, sides) = ((low + high) * 0.5, high - low);
     let mass = unit.physics.mass_kg;
-    let radius = unit.points.iter().map(|point| (point.coords - middle).norm()).fold(0.0, f32::max);
-    if unit.pieces.is_empty() && is_ball(&unit.points, &middle, radius) {
+    if let Some(radius) = ball(unit) {
         return [0.4 * mass * radius * radius; 3];
     }
+    let [low, high] = bounds(unit);
+    let sides = high - low;
     let square = sides.component_mul(&sides);
     let own = |axis: f32| (mass * (square.sum() - axis) / 12.0).max(f32::MIN_POSITIVE);
     [own(square.x), own(square.y), own(square.z)]
 }
 
-fn is_ball(points: &[Point3<f32>], middle: &Vector3<f32>, radius: f32) -> bool {
-    let numbers = || [-1.0_f32, 0.0, 1.0].into_iter();
-    let directions = numbers()
-        .flat_map(|x| numbers().flat_map(move |y| numbers().map(move |z| Vector3::new(x, y, z))));
-    directions.filter(|along| *along != Vector3::zeros()).all(|along| {
-        let reach =
-            points.iter().map(|point| (point.coords - middle).dot(&along)).fold(0.0, f32::max);
-        reach >= BALL * radius * along.norm()
+/// The radius of a unit that the solver takes for a ball, metres.
+fn ball(unit: &RecordedUnit) -> Option<f32> {
+    if !unit.pieces.is_empty() {
+        return None;
+    }
+    let mut points = unit.points.clone();
+    let middle = centre_of_mass(&mut points);
+    points.iter_mut().for_each(|point| *point -= middle.coords);
+    let radius = radius(&points);
+    let reaches = |along: Vector3<f32>| {
+        let least = BALL * radius * along.norm();
+        points.iter().any(|point| point.coords.dot(&along) >= least)
+    };
+    directions().all(reaches).then_some(radius)
+}
+
+/// The directions in which the solver feels for hulls, |x| + |y| + |z| = [`LATTICE`]; of no unit length.
+fn directions() -> impl Iterator<Item = Vector3<f32>> {
+    (-LATTICE..=LATTICE).flat_map(|y| {
+        let reach = LATTICE - y.abs();
+        (-reach..=reach).flat_map(move |x| {
+            let z = reach - x.abs();
+            // On the equator both halves are one.
+            let both = [-z, z].into_iter().take(if z == 0 { 1 } else { 2 });
+            both.map(move |z| Vector3::from([x, y, z].map(|value| value as f32)))
+        })
     })
 }
 
@@ -300,7 +333,7 @@ pub struct Contact {
 impl Contact {
     /// What a scene has: no change.
     pub fn of(scene: &RecordedScene) -> Contact {
-        let parts = parts_of(scene);
+        let parts = Parts::of(scene);
         Contact {
             values: NUMBERS
                 .map(|number| Some((number.get)(&parts).clamp(number.range[0], number.range[1]))),
@@ -339,7 +372,7 @@ impl Contact {
     /// [`ContactError::NoPlane`], or [`ContactError::Scene`] where a number makes it none.
     pub fn applied(&self, scene: &RecordedScene) -> Result<RecordedScene, ContactError> {
         in_own_environment(|| {
-            let mut parts = parts_of(scene);
+            let mut parts = Parts::of(scene);
             for (number, value) in self.values() {
                 if number.needs_plane && parts.planes.is_empty() {
                     return Err(ContactError::NoPlane {
@@ -454,19 +487,11 @@ fn text_error(path: &Path, line: usize, what: String) -> ContactError {
     ContactError::Text { path: path.into(), line, what, remedy }
 }
 
-fn parts_of(scene: &RecordedScene) -> Parts {
-    Parts {
-        units: scene.units().to_vec(),
-        planes: scene.planes().unwrap_or_default().to_vec(),
-        gravity_m_s2: scene.gravity_m_s2(),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::scenes::Split;
-    use nalgebra::Isometry3;
+    use nalgebra::{Isometry3, Point3};
     use rigidformer_core::Physics;
 
     fn scene(planes: Vec<Plane>) -> RecordedScene {
@@ -560,6 +585,75 @@ mod tests {
         assert_eq!(Contact::default().applied(&given).unwrap(), given);
         let error = contact.applied(&super::tests::scene(Vec::new())).unwrap_err().to_string();
         assert!(error.contains("toss") && error.contains("table_height_m"), "{error}");
+    }
+
+    /// After one tilt another of two parallel planes faces gravity more.
+    #[test]
+    fn one_of_two_parallel_planes_is_tilted() {
+        let lower = Plane { offset_m: -0.5, ..Plane::ground(0.5, 0.5) };
+        let given = scene(vec![Plane::ground(0.5, 0.5), lower]);
+        let contact =
+            parse("table_height_m = 0.01\ntable_slope_x = 0.05\ntable_slope_y = 0.02").unwrap();
+        let tilted = contact.applied(&given).unwrap();
+        let [table, other] = tilted.planes().unwrap() else { panic!("two planes") };
+        assert_eq!(other, &lower);
+        for (x, y, z) in [(0.0, 0.0, 0.01), (1.0, 0.0, 0.06), (0.0, 1.0, 0.03)] {
+            let over = table.normal.dot(&Vector3::new(x, y, z)) - table.offset_m;
+            assert!(over.abs() < 1e-4, "{x} {y}: {over} over {table:?}");
+        }
+    }
+
+    /// No plane, however smooth, asks a unit for more than the core takes.
+    #[test]
+    fn coefficients_stay_in_the_range_of_the_core() {
+        for smooth in [0.0, 1e-3, 1.5e-3, 1.999e-3, 2e-3, 2.1e-3, 1.0] {
+            let given = scene(vec![Plane::ground(smooth, smooth)]);
+            for value in [[0.005, 0.0], [2.0, 1.0]] {
+                let contact = Contact::default().with(0, Some(value[0])).with(1, Some(value[1]));
+                let taken = contact.applied(&given).unwrap();
+                let own = taken.units()[0].physics;
+                assert!(own.friction.max(own.restitution) <= 1e3, "{smooth}: {own:?}");
+                let [friction, restitution] = [0, 1].map(|at| Contact::of(&taken).at(at).unwrap());
+                let off = (friction - value[0]).abs().max((restitution - value[1]).abs());
+                assert!(off < 1e-6, "{smooth}: {taken:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_factor_of_1_changes_no_inertia() {
+        let given = scene(vec![Plane::ground(0.5, 0.5)]);
+        let contact = |factor: f32| Contact::default().with(5, Some(factor));
+        assert_eq!(contact(1.0).applied(&given).unwrap(), given);
+        let near = contact(1.0 + f32::EPSILON).applied(&given).unwrap();
+        assert!(near.units()[0].inertia.is_some());
+    }
+
+    /// Round in 26 directions is not yet a ball.
+    #[test]
+    fn a_coarse_round_body_has_the_inertia_of_its_box() {
+        let numbers = || [-1.0_f32, 0.0, 1.0].into_iter();
+        let all = numbers()
+            .flat_map(|x| numbers().flat_map(move |y| numbers().map(move |z| [x, y, z])))
+            .map(Vector3::from);
+        let points = all
+            .filter(|along| along.norm() > 0.5)
+            .map(|along| Point3::from(along.normalize() * 0.1));
+        let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+        let round =
+            RecordedUnit::new("round", points.collect(), physics, vec![Isometry3::identity()]);
+        // A cube of .2 m has 1 / 150, and the ball in it 1 / 250.
+        let found = moments(&round);
+        assert!(found.iter().all(|moment| (moment - 1.0 / 150.0).abs() < 1e-6), "{found:?}");
+    }
+
+    #[test]
+    fn the_solver_s_directions_are_258() {
+        let mut all: Vec<_> = directions().map(|along| along.data.0[0].map(|v| v as i32)).collect();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), 258);
+        assert!(all.iter().all(|along| along.iter().map(|v| v.abs()).sum::<i32>() == LATTICE));
     }
 
     #[test]

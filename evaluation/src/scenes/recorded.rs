@@ -471,9 +471,19 @@ impl RecordedScene {
         let kind = (self.seed, self.split);
         let new =
             Self::checked(self.name.clone(), kind, self.frame_rate_hz, self.gravity_m_s2, units)?;
-        let new = planes.map_or(Ok(new.clone()), |planes| new.with_planes(planes))?;
-        let Self { plane_compliance, commands, pivots, mesh, bonds, .. } = self.clone();
-        Ok(Self { plane_compliance, commands, pivots, mesh, bonds, ..new })
+        let new = match planes {
+            Some(planes) => new.with_planes(planes)?,
+            None => new,
+        };
+        // Not the scene whole: its poses are most of it.
+        Ok(Self {
+            plane_compliance: self.plane_compliance.clone(),
+            commands: self.commands.clone(),
+            pivots: self.pivots.clone(),
+            mesh: self.mesh.clone(),
+            bonds: self.bonds.clone(),
+            ..new
+        })
     }
 
     /// The same scene with a command of `size` numbers per frame, `values` (frames, size).

@@ -73,7 +73,7 @@ pub fn figures(
     weights: Weights,
     cancelled: &AtomicBool,
 ) -> Result<Option<Figures>, CalibrateError> {
-    let objective = Objective::new(model, scenes.to_vec(), step, weights)?;
+    let objective = Objective::new(model, scenes, step, weights)?;
     let all = in_own_environment(|| objective.errors(contact, cancelled))?;
     let mean = |of: fn(&Errors) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
     let mean = Errors {
@@ -88,7 +88,7 @@ pub fn figures(
 pub(super) struct Objective<'m> {
     engine: Engine,
     model: &'m LoadedModel,
-    scenes: Vec<RecordedScene>,
+    pub(super) scenes: &'m [RecordedScene],
     /// (scenes) Of their units, metres.
     sizes: Vec<f64>,
     step: u32,
@@ -98,7 +98,7 @@ pub(super) struct Objective<'m> {
 impl<'m> Objective<'m> {
     pub(super) fn new(
         model: &'m LoadedModel,
-        scenes: Vec<RecordedScene>,
+        scenes: &'m [RecordedScene],
         step: u32,
         weights: Weights,
     ) -> Result<Self, CalibrateError> {
@@ -124,10 +124,6 @@ impl<'m> Objective<'m> {
         }
         let engine = Engine::new().map_err(RolloutError::from)?.single();
         Ok(Objective { engine, model, scenes, sizes, step, weights })
-    }
-
-    pub(super) fn scenes(&self) -> usize {
-        self.scenes.len()
     }
 
     /// (scenes) What each costs, whatever the threads do.

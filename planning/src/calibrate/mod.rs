@@ -28,7 +28,7 @@
 //!
 //! let loaded = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
 //! let settings = Settings { fit: vec![number("friction").ok_or("no such number")?], evaluations: 16, ..Settings::default() };
-//! let calibration = Calibration::new(&loaded, vec![scene], Vec::new(), settings)?;
+//! let calibration = Calibration::new(&loaded, std::slice::from_ref(&scene), &[], settings)?;
 //! let found = calibration.calibrate(&mut Memo::default(), &mut |_| (), Progress::none())?;
 //! let friction = found.contact.get("friction").ok_or("not fitted")?;
 //! assert!((friction - 0.3).abs() < 0.02, "{friction}");
@@ -74,7 +74,7 @@ pub struct Settings {
     pub starts: usize,
     /// Rollouts of all training scenes in a search, at most; from 4 to 100,000.
     pub evaluations: usize,
-    /// Resampled sets of scenes that intervals are of; 0: no intervals. At most 10,000.
+    /// Resampled sets of scenes that intervals are of; 0: no intervals, and the same numbers. At most 10,000.
     pub resamples: usize,
     /// Another seed, other starts and other resamples.
     pub seed: u64,
@@ -140,32 +140,44 @@ impl<'m> Calibration<'m> {
     /// [`CalibrateError`] names the refused scene or setting.
     pub fn new(
         model: &'m LoadedModel,
-        train: Vec<RecordedScene>,
-        validation: Vec<RecordedScene>,
+        train: &'m [RecordedScene],
+        validation: &'m [RecordedScene],
         settings: Settings,
     ) -> Result<Self, CalibrateError> {
         check(&settings)?;
         if train.is_empty() {
             return Err(CalibrateError::NoScenes);
         }
-        let space = in_own_environment(|| Space::new(&settings.fit, &train));
-        let of = |scenes| Objective::new(model, scenes, settings.step, settings.weights);
+        let space = in_own_environment(|| Space::new(&settings.fit, train));
+        let of = |scenes: &'m [RecordedScene]| {
+            Objective::new(model, scenes, settings.step, settings.weights)
+        };
         let (train, validation) = (of(train)?, of(validation)?);
-        Ok(Calibration { train, validation, settings, space })
+        let calibration = Calibration { train, validation, settings, space };
+        calibration.takes(calibration.train.scenes)?;
+        calibration.takes(calibration.validation.scenes)?;
+        Ok(calibration)
+    }
+
+    /// Checks that scenes can take the numbers that are fitted, also those of a test: what a search has found is not to be lost to them.
+    ///
+    /// # Errors
+    /// [`CalibrateError::Contact`] names the first that cannot.
+    pub fn takes(&self, scenes: &[RecordedScene]) -> Result<(), CalibrateError> {
+        let given = self.space.given();
+        scenes.iter().try_for_each(|scene| Ok(given.applied(scene).map(drop)?))
     }
 
     /// Rollouts of all training scenes that it takes, about.
     pub fn evaluations(&self) -> usize {
-        let last = if self.resamples() > 0 { intervals::designs(self.space.len()) + 1 } else { 1 };
+        let last = if self.has_quadratic() { intervals::designs(self.space.len()) + 1 } else { 1 };
         self.settings.starts * self.settings.evaluations + last
     }
 
-    /// Sets of scenes that are drawn: few scenes tell nothing of how others would do.
-    fn resamples(&self) -> usize {
-        match self.train.scenes() < intervals::LEAST_SCENES {
-            true => 0,
-            false => self.settings.resamples,
-        }
+    /// Whether a quadratic gives the last step: few scenes tell nothing of how others would do. How many sets are drawn does not count, so
+    /// that the numbers are the same without intervals.
+    fn has_quadratic(&self) -> bool {
+        self.train.scenes.len() >= intervals::LEAST_SCENES
     }
 
     /// Fits the numbers. What `memo` knows is not computed again, and it knows more afterwards, also where this is cancelled; `kept` sees
@@ -216,7 +228,7 @@ impl<'m> Calibration<'m> {
                 |at: &[f64]| Ok(cost_of(&space.contact(at), memo, kept)? + space.penalty(at));
             let end = search::downhill(simplex, settings.evaluations, cost)?;
             let contact = space.contact(&end.at);
-            let of_validation = match validation.scenes() {
+            let of_validation = match validation.scenes.len() {
                 0 => None,
                 _ => Some(mean(&validation.costs(&contact, progress.cancelled)?)),
             };
@@ -229,7 +241,7 @@ impl<'m> Calibration<'m> {
         let chosen = best.map_or(0, |(number, _)| number);
         let mut contact = ends.get(chosen).copied().unwrap_or_default();
         let mut bounds = vec![None; space.len()];
-        if self.resamples() > 0 {
+        if self.has_quadratic() {
             let around = space.place(&contact);
             let mut costs = Vec::new();
             let designs = intervals::design(&around, settings.seed);
@@ -239,7 +251,8 @@ impl<'m> Calibration<'m> {
                     return Err(CalibrateError::Cancelled);
                 }
                 let key = space.key(design);
-                let of_scenes = match memo.scenes(&key).filter(|of| of.len() == train.scenes()) {
+                let of_scenes = match memo.scenes(&key).filter(|of| of.len() == train.scenes.len())
+                {
                     Some(known) => known.to_vec(),
                     None => {
                         let found = train.costs(design, progress.cancelled)?;
@@ -259,7 +272,7 @@ impl<'m> Calibration<'m> {
                 if cost_of(&last, memo, kept)? < cost_of(&contact, memo, kept)? {
                     contact = last;
                 }
-                let ends = fit.resampled(&costs, self.resamples(), settings.seed);
+                let ends = fit.resampled(&costs, settings.resamples, settings.seed);
                 bounds = space.bounds((&ends, &least), &fit, &contact);
             }
         }

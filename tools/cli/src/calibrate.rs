@@ -10,7 +10,7 @@ use rigidformer_planning::calibrate::{
     Bounds, CalibrateError, Calibrated, Calibration, Figures, Memo, Settings, Start, StartNoise,
     Weights, figures, start_noise,
 };
-use rigidformer_runtime::files;
+use rigidformer_runtime::files::{self, FileError};
 use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::noise::{Noise, mix};
@@ -37,6 +37,50 @@ struct Shares {
 struct Share {
     name: &'static str,
     figures: Vec<(Option<Figures>, Option<Figures>)>,
+}
+
+/// (shares, predictors) Errors with some numbers.
+type Measured = [Vec<Option<Figures>>; 3];
+
+/// The file that what was computed is kept in, if there is one.
+struct State<'s> {
+    path: Option<&'s Path>,
+    /// The calibration that it is of.
+    of: u64,
+    last: Instant,
+}
+
+impl State<'_> {
+    fn write(&self, memo: &Memo) -> std::result::Result<(), FileError> {
+        match self.path {
+            Some(path) => output::write_state(path, memo.text(self.of).as_bytes()),
+            None => Ok(()),
+        }
+    }
+
+    fn keep(&mut self, memo: &Memo) {
+        if self.last.elapsed() >= KEEP_EVERY {
+            // The next one may succeed, and of the last one it is said.
+            let _ = self.write(memo);
+            self.last = Instant::now();
+        }
+    }
+
+    /// Writes it for the last time. Numbers are worth more than the way to them, so that an error is only said.
+    fn close(&self, memo: &Memo) {
+        if let Err(error) = self.write(memo) {
+            output::note(&format!("--resume: {error}; the state there is an older one"));
+        }
+    }
+
+    /// Says what Ctrl-C leaves.
+    fn left(&self, error: anyhow::Error) -> anyhow::Error {
+        let cancelled = matches!(error.downcast_ref(), Some(RolloutError::Cancelled));
+        if let Some(path) = self.path.filter(|_| cancelled) {
+            output::note(&format!("the same command goes on from {}", path.display()));
+        }
+        error
+    }
 }
 
 pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
@@ -73,8 +117,8 @@ pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
     let (train, validation) = (scenes(&shares.train)?, scenes(&shares.validation)?);
     let test = scenes(&shares.test)?;
     let calibration =
-        Calibration::new(&loaded, train.clone(), validation.clone(), settings.clone());
-    let calibration = calibration.map_err(plain)?;
+        Calibration::new(&loaded, &train, &validation, settings.clone()).map_err(plain)?;
+    calibration.takes(&test).map_err(plain)?;
     let of = fingerprint(&dataset, &loaded, &settings, &shares);
     let mut memo = match arguments.resume.as_deref().filter(|path| path.exists()) {
         Some(path) => known(path, of)?,
@@ -84,46 +128,40 @@ pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
         output::note(&format!("goes on from {} rollouts of all scenes", memo.len()));
     }
 
-    let bar = output::progress(calibration.evaluations() as u64, dataset.name());
-    let stepped = || bar.inc(1);
-    let (mut last, mut failed) = (Instant::now(), None);
-    let mut kept = |memo: &Memo| {
-        let Some(path) = &arguments.resume else { return };
-        if last.elapsed() >= KEEP_EVERY && failed.is_none() {
-            failed = files::write_whole(path, memo.text(of).as_bytes()).err();
-            last = Instant::now();
-        }
-    };
-    let found =
-        calibration.calibrate(&mut memo, &mut kept, Progress { cancelled, stepped: &stepped });
-    bar.finish_and_clear();
-    if let Some(path) = &arguments.resume {
-        // Also once Ctrl-C was pressed: that is what it is for.
-        files::write_whole(path, memo.text(of).as_bytes())?;
-        if matches!(found, Err(CalibrateError::Cancelled)) {
-            output::note(&format!("the same command goes on from {}", path.display()));
-        }
-    }
-    let found = found.map_err(plain)?;
-
     let mut predictors = vec![&loaded];
     predictors.extend(alone.as_ref().filter(|_| !arguments.without_network));
-    let measured = |name: &'static str, scenes: &[RecordedScene]| -> anyhow::Result<Share> {
-        let of = |model: &LoadedModel, contact: &Contact| {
-            let Settings { step, weights, .. } = settings;
-            figures(model, scenes, contact, step, weights, cancelled).map_err(plain)
+    let measured = |contact: &Contact| -> anyhow::Result<Measured> {
+        let Settings { step, weights, .. } = settings;
+        let of_share = |scenes: &Vec<RecordedScene>| {
+            let of = |model: &&LoadedModel| {
+                figures(model, scenes, contact, step, weights, cancelled).map_err(plain)
+            };
+            predictors.iter().map(of).collect::<anyhow::Result<Vec<_>>>()
         };
-        let both = |model: &&LoadedModel| {
-            Ok((of(model, &Contact::default())?, of(model, &found.contact)?))
-        };
-        Ok(Share { name, figures: predictors.iter().map(both).collect::<anyhow::Result<_>>()? })
+        Ok([of_share(&train)?, of_share(&validation)?, of_share(&test)?])
     };
-    let shares = [
-        measured("train", &train)?,
-        measured("validation", &validation)?,
-        measured("test", &test)?,
-    ];
-    interrupt::check()?;
+    // Before the search: a scene that cannot be measured does not throw away what it found.
+    let given = measured(&Contact::default())?;
+
+    let mut state = State { path: arguments.resume.as_deref(), of, last: Instant::now() };
+    // Likewise a file that cannot be written.
+    state.write(&memo)?;
+    let bar = output::progress(calibration.evaluations() as u64, dataset.name());
+    let stepped = || bar.inc(1);
+    let progress = Progress { cancelled, stepped: &stepped };
+    let found = calibration.calibrate(&mut memo, &mut |memo| state.keep(memo), progress);
+    bar.finish_and_clear();
+    state.close(&memo);
+    let found = found.map_err(|error| state.left(plain(error)))?;
+    let fitted = measured(&found.contact).map_err(|error| state.left(error))?;
+    let both = given.into_iter().zip(fitted);
+    let shares = ["train", "validation", "test"].into_iter().zip(both);
+    let shares = shares.map(|(name, (given, fitted))| Share {
+        name,
+        figures: given.into_iter().zip(fitted).collect(),
+    });
+    let shares: Vec<Share> = shares.collect();
+    interrupt::check().map_err(|error| state.left(error.into()))?;
     let names: Vec<&str> = predictors.iter().map(|model| name_of(model, &alone)).collect();
     let noise = start_noise(&train);
     let result =
@@ -133,7 +171,8 @@ pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
         false => result.print()?,
     }
     if let Some(path) = &arguments.out {
-        output::write_results(&[(path.clone(), result.file().into_bytes())], arguments.json)?;
+        output::write_results(&[(path.clone(), result.file().into_bytes())], arguments.json)
+            .map_err(|error| state.left(error))?;
     }
     Ok(())
 }
@@ -273,9 +312,11 @@ fn fingerprint(
     };
     let file = model.model().file();
     let said = format!(
-        "{} {:08x} {settings:?} {:?} {:?} {}",
+        "{} {:08x} {:?} {settings:?} {:?} {:?} {}",
         file.name(),
         file.payload_crc(),
+        // The same weights move otherwise with other physics, at another rate or without the network.
+        file.config(),
         shares.train,
         shares.validation,
         env!("CARGO_PKG_VERSION"),
@@ -305,7 +346,7 @@ struct Result<'r> {
     found: &'r Calibrated,
     /// Of predictors.
     names: Vec<&'r str>,
-    shares: [Share; 3],
+    shares: Vec<Share>,
     noise: Option<StartNoise>,
 }
 

@@ -19,7 +19,7 @@ pub(crate) use crate::printable::name;
 use crate::printable::{escaped_json, shown};
 use crate::usage::Usage;
 
-/// Whether a file of results was written.
+/// Whether a file of results, or a state to go on from, was written.
 static WROTE: AtomicBool = AtomicBool::new(false);
 
 const ERROR: Style = AnsiColor::Red.on_default().bold();
@@ -206,6 +206,17 @@ pub(crate) fn write_all(results: &[(&Path, &[u8])]) -> anyhow::Result<()> {
     if !results.is_empty() {
         WROTE.store(true, Ordering::Relaxed);
     }
+    Ok(())
+}
+
+/// Writes a state to go on from, whole or not at all: also once Ctrl-C was pressed, which is what it is for.
+///
+/// # Errors
+/// When it cannot be written: the one before is then as it was.
+#[cfg(feature = "calibrate")]
+pub(crate) fn write_state(path: &Path, bytes: &[u8]) -> Result<(), FileError> {
+    files::write_whole(path, bytes)?;
+    WROTE.store(true, Ordering::Relaxed);
     Ok(())
 }
 

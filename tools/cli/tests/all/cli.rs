@@ -7,10 +7,13 @@ use std::process::{Command, Output, Stdio};
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Physics, Plane, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
+use rigidformer_evaluation::models::random;
 use rigidformer_evaluation::scenes::{
     Dataset, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split, Velocity,
     write_scene,
 };
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_weights::ModelConfig;
 use tempfile::TempDir;
 
 /// An untrained model with the paper's inputs, as the lab exports it.
@@ -1796,5 +1799,74 @@ fn ctrl_c_keeps_what_was_computed() {
     assert_eq!(output.status.code(), Some(130), "{said}");
     assert!(!Path::new(&out).exists());
     // It may have been stopped while it still read.
-    assert_eq!(Path::new(&state).exists(), said.contains("the same command goes on"), "{said}");
+    let kept = Path::new(&state).exists();
+    assert_eq!(kept, said.contains("the same command goes on"), "{said}");
+    assert_eq!(kept, !said.contains("nothing was written"), "{said}");
+}
+
+#[test]
+fn a_state_that_cannot_be_written_ends_no_search() {
+    let folder = Folder::new();
+    let scene = pushed(&folder, "push.safetensors");
+    let (out, state) = (folder.path("contact.toml"), folder.path("states/state"));
+    let arguments = [
+        "calibrate",
+        &scene,
+        "--model",
+        NANO,
+        "--evaluations",
+        "300",
+        "--starts",
+        "16",
+        "--resume",
+        &state,
+        "--out",
+        &out,
+    ];
+    // Before the search it is refused.
+    fails(&arguments, 1, &[&state, "cannot be written"]);
+    assert!(!Path::new(&out).exists());
+
+    let states = folder.path("states");
+    std::fs::create_dir(&states).unwrap();
+    let child =
+        program().args(arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let start = std::time::Instant::now();
+    while !Path::new(&state).exists() {
+        assert!(start.elapsed() < std::time::Duration::from_secs(120), "no state");
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    // Moved away whole: what is just being written is not in the way.
+    std::fs::rename(&states, folder.path("away")).unwrap();
+    let output = child.wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("--resume") && said.contains("cannot be written"), "{said}");
+    assert!(text(&output.stdout).contains("friction"));
+    works(&["evaluate", &scene, "--model", NANO, "--steps", "2", "--contact", &out]);
+}
+
+/// The same weights under other physics are another model.
+#[test]
+fn a_state_is_of_one_configuration() {
+    let folder = Folder::new();
+    let scene = pushed(&folder, "push.safetensors");
+    let nano = LoadedModel::copy_of("nano.rfm", &std::fs::read(NANO).unwrap()).unwrap();
+    let config = *nano.model().config();
+    let model = |name: &str, ground_friction: f32| {
+        let config = ModelConfig { ground_friction, ..config };
+        let packed = random::without_network(&config).unwrap().unwrap();
+        (folder.file(name, &packed), LoadedModel::copy_of(name, &packed).unwrap())
+    };
+    let ((first, one), (second, other)) = (model("a.rfm", 0.3), model("b.rfm", 0.4));
+    let crc = |model: &LoadedModel| model.model().file().payload_crc();
+    assert_eq!(crc(&one), crc(&other));
+    let state = folder.path("state");
+    let fit = ["--fit", "friction", "--starts", "1", "--evaluations", "4", "--resume", &state];
+    works(&[&["calibrate", &scene, "--model", &first], &fit[..]].concat());
+    fails(
+        &[&["calibrate", &scene, "--model", &second], &fit[..]].concat(),
+        1,
+        &[&state, "another model"],
+    );
 }

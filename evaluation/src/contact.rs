@@ -19,6 +19,13 @@ const FORMAT: &str = "rigidformer-contact";
 const VERSION: &str = "1";
 /// Bytes of a file, at most: notes take most of them.
 const MOST_BYTES: usize = 1 << 20;
+/// Contact as stiff as this counts as rigid, N/m.
+const RIGID_N_M: f32 = 1e9;
+/// Where searches for a stiffness begin: on this many contact points a unit at rest sinks in by this share of its size.
+const CORNERS: f32 = 4.0;
+const SAG: f32 = 1e-3;
+/// Where searches for a dissipation begin, by the speed (s/m) of what falls from half its size.
+const LOST: f32 = 4.0;
 /// Least friction or restitution of a plane that a unit's own can be told by. With less, a product of 2 asks for more than the 1000 that
 /// the core takes.
 const LEAST_COEFFICIENT: f32 = 2e-3;
@@ -54,13 +61,14 @@ pub struct Number {
     get: fn(&Parts) -> f32,
     /// Gives it to a scene.
     set: fn(&mut Parts, f32),
+    /// Where a search begins; `None`: with what a scene has.
+    begin: Option<fn(&Parts) -> f32>,
     /// Whether a scene needs a plane for it.
     needs_plane: bool,
 }
 
 /// All numbers, in the order in which scenes take them.
-// Stiffness, damping and their kin go here: a row each, and nothing elsewhere.
-pub const NUMBERS: [Number; 6] = [
+pub const NUMBERS: [Number; 8] = [
     Number {
         name: "friction",
         group: "friction",
@@ -77,6 +85,7 @@ pub const NUMBERS: [Number; 6] = [
                 .iter_mut()
                 .for_each(|plane| plane.friction = planes.unwrap_or(plane.friction));
         },
+        begin: None,
         needs_plane: false,
     },
     Number {
@@ -93,6 +102,46 @@ pub const NUMBERS: [Number; 6] = [
             let set = |plane: &mut Plane| plane.restitution = planes.unwrap_or(plane.restitution);
             parts.planes.iter_mut().for_each(set);
         },
+        begin: None,
+        needs_plane: false,
+    },
+    Number {
+        name: "stiffness_n_m",
+        group: "stiffness",
+        meaning: "of a unit's contact points against what is rigid, N/m; 1e9 is rigid",
+        range: [1.0, RIGID_N_M],
+        scale: Scale::Log,
+        spread: 0.7,
+        get: |parts| parts.mean(stiffness),
+        set: |parts, value| {
+            let stiffness_n_m = if value < RIGID_N_M { value } else { 0.0 };
+            parts.free().for_each(|unit| unit.compliance.stiffness_n_m = stiffness_n_m);
+        },
+        // A search that begins with what is rigid goes nowhere.
+        begin: Some(|parts| {
+            let own = |unit: &RecordedUnit| match unit.compliance.is_rigid() {
+                true => unit.physics.mass_kg * parts.gravity_m_s2 / (CORNERS * SAG * side(unit)),
+                false => unit.compliance.stiffness_n_m,
+            };
+            parts.mean(own)
+        }),
+        needs_plane: false,
+    },
+    Number {
+        name: "dissipation_s_m",
+        group: "stiffness",
+        meaning: "of a unit's contact points that give way, s/m",
+        range: [0.0, 1e3],
+        scale: Scale::Linear,
+        spread: 1.0,
+        get: |parts| parts.mean(|unit| unit.compliance.dissipation_s_m),
+        set: |parts, value| parts.free().for_each(|unit| unit.compliance.dissipation_s_m = value),
+        begin: Some(|parts| {
+            parts.mean(|unit| match unit.compliance.is_rigid() {
+                true => LOST / (parts.gravity_m_s2 * side(unit)).sqrt(),
+                false => unit.compliance.dissipation_s_m,
+            })
+        }),
         needs_plane: false,
     },
     Number {
@@ -108,6 +157,7 @@ pub const NUMBERS: [Number; 6] = [
                 table.offset_m += value;
             }
         },
+        begin: None,
         needs_plane: true,
     },
     Number {
@@ -119,6 +169,7 @@ pub const NUMBERS: [Number; 6] = [
         spread: 0.002,
         get: |_| 0.0,
         set: |parts, value| parts.tilt([value, 0.0]),
+        begin: None,
         needs_plane: true,
     },
     Number {
@@ -130,6 +181,7 @@ pub const NUMBERS: [Number; 6] = [
         spread: 0.002,
         get: |_| 0.0,
         set: |parts, value| parts.tilt([0.0, value]),
+        begin: None,
         needs_plane: true,
     },
     Number {
@@ -148,6 +200,7 @@ pub const NUMBERS: [Number; 6] = [
                     .for_each(|unit| unit.inertia = Some(moments(unit).map(|of| of * value)));
             }
         },
+        begin: None,
         needs_plane: false,
     },
 ];
@@ -158,6 +211,8 @@ struct Parts {
     planes: Vec<Plane>,
     /// The place of the plane that things lie on, before any is tilted: of parallel ones another would come first afterwards.
     table: Option<usize>,
+    /// How strong gravity is.
+    gravity_m_s2: f32,
 }
 
 impl Parts {
@@ -168,7 +223,13 @@ impl Parts {
         // Of equal ones the first, so that the order of a file decides.
         let best = planes.iter().map(rising).fold(f32::NEG_INFINITY, f32::max);
         let table = planes.iter().position(|plane| rising(plane) >= best);
-        Parts { units: scene.units().to_vec(), planes, table }
+        Parts { units: scene.units().to_vec(), planes, table, gravity_m_s2: down.norm() }
+    }
+
+    /// The mean over free units.
+    fn mean(&self, of: impl Fn(&RecordedUnit) -> f32) -> f32 {
+        let free = self.units.iter().filter(|unit| unit.role == Role::Free);
+        free.clone().map(of).sum::<f32>() / free.count().max(1) as f32
     }
 
     fn free(&mut self) -> impl Iterator<Item = &mut RecordedUnit> {
@@ -204,9 +265,7 @@ impl Parts {
 
 /// The mean over free units of the products with the roughest plane's coefficient.
 fn product(parts: &Parts, plane: fn(&Plane) -> f32, unit: fn(&RecordedUnit) -> f32) -> f32 {
-    let free = parts.units.iter().filter(|unit| unit.role == Role::Free);
-    let sum: f32 = free.clone().map(unit).sum();
-    sum / free.count().max(1) as f32 * parts.reference(plane)
+    parts.mean(unit) * parts.reference(plane)
 }
 
 /// What a unit's own coefficient is for a product, and that of planes where it changes: a plane that has hardly any tells nothing of the
@@ -269,6 +328,20 @@ fn bounds(unit: &RecordedUnit) -> [Vector3<f32>; 2] {
     unit.points
         .iter()
         .fold(start, |[low, high], point| [low.inf(&point.coords), high.sup(&point.coords)])
+}
+
+/// The mean side of the box around a unit's points, metres.
+fn side(unit: &RecordedUnit) -> f32 {
+    let [low, high] = bounds(unit);
+    (high - low).sum() / 3.0
+}
+
+/// N/m; of a rigid unit the least that counts as rigid.
+fn stiffness(unit: &RecordedUnit) -> f32 {
+    match unit.compliance.is_rigid() {
+        true => RIGID_N_M,
+        false => unit.compliance.stiffness_n_m,
+    }
 }
 
 /// How large the free units of a scene are, metres: the mean side of the boxes around their points, of a cube its edge.
@@ -334,10 +407,23 @@ impl Contact {
     /// What a scene has: no change.
     pub fn of(scene: &RecordedScene) -> Contact {
         let parts = Parts::of(scene);
-        Contact {
-            values: NUMBERS
-                .map(|number| Some((number.get)(&parts).clamp(number.range[0], number.range[1]))),
-        }
+        let within = |number: Number| {
+            let [least, most] = number.range;
+            Some((number.get)(&parts).clamp(least, most))
+        };
+        Contact { values: NUMBERS.map(within) }
+    }
+
+    /// Where a search for a scene's numbers begins: with what it has, and for a stiffness of what is rigid with that by which a unit at
+    /// rest sinks in by a thousandth of its size.
+    pub fn begin(scene: &RecordedScene) -> Contact {
+        let parts = Parts::of(scene);
+        let at = |number: Number| (number.begin.unwrap_or(number.get))(&parts);
+        let within = |number: Number| {
+            let [least, most] = number.range;
+            Some(at(number).clamp(least, most))
+        };
+        Contact { values: NUMBERS.map(within) }
     }
 
     /// By name.
@@ -492,7 +578,7 @@ mod tests {
     use super::*;
     use crate::scenes::Split;
     use nalgebra::{Isometry3, Point3};
-    use rigidformer_core::Physics;
+    use rigidformer_core::{Compliance, Physics};
 
     fn scene(planes: Vec<Plane>) -> RecordedScene {
         let corner =
@@ -654,6 +740,26 @@ mod tests {
         all.dedup();
         assert_eq!(all.len(), 258);
         assert!(all.iter().all(|along| along.iter().map(|v| v.abs()).sum::<i32>() == LATTICE));
+    }
+
+    #[test]
+    fn contact_gives_way_as_a_file_says() {
+        let given = scene(vec![Plane::ground(0.5, 0.5)]);
+        let rigid = Contact::of(&given);
+        assert_eq!(rigid.get("stiffness_n_m"), Some(RIGID_N_M));
+        // A corner carries .6 kg / 4 and sinks in by .1 mm.
+        let begin = Contact::begin(&given);
+        assert!((begin.get("stiffness_n_m").unwrap() / 14_715.0 - 1.0).abs() < 1e-4);
+        assert!((begin.get("dissipation_s_m").unwrap() - 4.0 / 0.981_f32.sqrt()).abs() < 1e-4);
+        assert_eq!(begin.get("friction"), rigid.get("friction"));
+        let file = parse("stiffness_n_m = 2e4\ndissipation_s_m = 3").unwrap();
+        let soft = file.applied(&given).unwrap();
+        let [cube, shelf] = soft.units() else { panic!("two units") };
+        let expected = Compliance { stiffness_n_m: 2e4, dissipation_s_m: 3.0 };
+        assert_eq!((cube.compliance, shelf.compliance), (expected, Compliance::RIGID));
+        assert_eq!(Contact::begin(&soft).get("stiffness_n_m"), Some(2e4));
+        let back = parse("stiffness_n_m = 1e9\ndissipation_s_m = 0").unwrap();
+        assert_eq!(back.applied(&soft).unwrap(), given);
     }
 
     #[test]

@@ -61,10 +61,16 @@ use cost::Objective;
 use intervals::mean;
 use space::Space;
 
+/// Counts where contact is rigid.
+const RESTITUTION: &str = "restitution";
+/// Counts where it is not.
+const STIFFNESS: &str = "stiffness_n_m";
+
 /// How numbers are fitted.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
-    /// Places of the fitted numbers among the [`NUMBERS`], at least one.
+    /// Places of the fitted numbers among the [`NUMBERS`], at least one; all but restitution. It counts for nothing where contact gives
+    /// way, so that it is fitted without a stiffness alone.
     pub fit: Vec<usize>,
     /// Step code of the rollouts, from 1 to 100.
     pub step: u32,
@@ -83,7 +89,7 @@ pub struct Settings {
 impl Default for Settings {
     fn default() -> Self {
         Settings {
-            fit: (0..NUMBERS.len()).collect(),
+            fit: (0..NUMBERS.len()).filter(|at| Some(*at) != number(RESTITUTION)).collect(),
             step: 2,
             weights: Weights::default(),
             starts: 2,
@@ -283,6 +289,7 @@ impl<'m> Calibration<'m> {
 fn check(settings: &Settings) -> Result<(), CalibrateError> {
     let Settings { fit, step, weights, starts, evaluations, resamples, .. } = settings;
     let weight = |weight: f64| (0.0..=1e6).contains(&weight);
+    let has = |name: &str| number(name).is_some_and(|at| fit.contains(&at));
     let mut once = fit.clone();
     once.sort_unstable();
     once.dedup();
@@ -292,6 +299,12 @@ fn check(settings: &Settings) -> Result<(), CalibrateError> {
             "fit",
             format!("{fit:?}"),
             "one or more of the numbers, each once",
+        ),
+        (
+            ![RESTITUTION, STIFFNESS].iter().all(|name| has(name)),
+            "fit",
+            format!("{RESTITUTION} and {STIFFNESS}"),
+            "one of the two: restitution counts for nothing where contact gives way",
         ),
         ((1..=100).contains(step), "step", step.to_string(), "from 1 to 100"),
         (

@@ -14,16 +14,20 @@ pub(super) struct Space {
     /// Places among the [`NUMBERS`].
     fit: Vec<usize>,
     given: Contact,
+    /// Where searches begin.
+    begin: Contact,
 }
 
 impl Space {
     pub(super) fn new(fit: &[usize], scenes: &[RecordedScene]) -> Self {
-        let all: Vec<Contact> = scenes.iter().map(Contact::of).collect();
-        let given = fit.iter().fold(Contact::default(), |given, at| {
-            let sum: f64 = all.iter().filter_map(|of| of.at(*at)).map(f64::from).sum();
-            given.with(*at, Some((sum / all.len().max(1) as f64) as f32))
-        });
-        Space { fit: fit.to_vec(), given }
+        let mean = |of: fn(&RecordedScene) -> Contact| {
+            let all: Vec<Contact> = scenes.iter().map(of).collect();
+            fit.iter().fold(Contact::default(), |mean, at| {
+                let sum: f64 = all.iter().filter_map(|of| of.at(*at)).map(f64::from).sum();
+                mean.with(*at, Some((sum / all.len().max(1) as f64) as f32))
+            })
+        };
+        Space { fit: fit.to_vec(), given: mean(Contact::of), begin: mean(Contact::begin) }
     }
 
     pub(super) fn len(&self) -> usize {
@@ -39,7 +43,7 @@ impl Space {
         static ALL: [Number; NUMBERS.len()] = NUMBERS;
         self.fit.iter().filter_map(|at| {
             let number = ALL.get(*at)?;
-            Some((*at, number, along(number, f64::from(self.given.at(*at)?))))
+            Some((*at, number, along(number, f64::from(self.begin.at(*at)?))))
         })
     }
 

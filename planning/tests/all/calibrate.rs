@@ -21,6 +21,9 @@ const RATE_HZ: f32 = 120.0;
 const FRAMES: usize = 60;
 const TRUE: [(&str, f32); 3] =
     [("friction", 0.2), ("restitution", 0.35), ("table_height_m", 0.001)];
+/// Of contact that gives way.
+const SOFT: [(&str, f32); 3] =
+    [("friction", 0.2), ("stiffness_n_m", 5_000.0), ("dissipation_s_m", 1.5)];
 
 /// Impulses alone.
 fn impulses() -> LoadedModel {
@@ -38,6 +41,16 @@ fn of(numbers: &[(&str, f32)]) -> Contact {
 
 /// Cubes that are thrown, as they move with the true numbers and are seen with noise; the file has other numbers.
 fn tosses(model: &LoadedModel, count: u64, noise_m: f32) -> Vec<RecordedScene> {
+    tosses_of(&TRUE, model, count, noise_m)
+}
+
+/// As [`tosses`], of other true numbers.
+fn tosses_of(
+    truth: &[(&str, f32)],
+    model: &LoadedModel,
+    count: u64,
+    noise_m: f32,
+) -> Vec<RecordedScene> {
     let toss = |seed: u64| {
         let mut noise = Noise::new(5, seed);
         let mut normal = |deviation: f32| Vector3::from_fn(|_, _| deviation * noise.normal());
@@ -62,7 +75,7 @@ fn tosses(model: &LoadedModel, count: u64, noise_m: f32) -> Vec<RecordedScene> {
                 RecordedScene::new(name, seed as i64, Split::Train, RATE_HZ, gravity, vec![unit]);
             scene.unwrap().with_planes(vec![Plane::ground(1.0, 1.0)]).unwrap()
         };
-        let truth = of(&TRUE).applied(&scene(cube.clone())).unwrap();
+        let truth = of(truth).applied(&scene(cube.clone())).unwrap();
         let engine = Engine::new().unwrap().single();
         let moved = open_loop_on(engine, model, &truth, 2, Progress::none()).unwrap();
         let native = f64::from(model.model().config().frame_rate_hz / RATE_HZ);
@@ -108,6 +121,33 @@ fn what_a_recording_was_made_with_is_found() {
     }
     let worth: Vec<f64> = found.starts.iter().map(|start| start.validation.unwrap()).collect();
     assert!(worth.iter().all(|of| *of >= worth[found.chosen]), "{worth:?}");
+}
+
+#[test]
+fn how_contact_gives_way_is_found_from_what_is_rigid() {
+    let model = impulses();
+    let scenes = tosses_of(&SOFT, &model, 16, 1e-4);
+    let fit = SOFT.iter().map(|(name, _)| number(name).unwrap()).collect();
+    let settings = Settings { fit, ..settings(150, 0) };
+    let calibration = Calibration::new(&model, &scenes, &[], settings).unwrap();
+    let found = calibration.calibrate(&mut Memo::default(), &mut |_| (), Progress::none()).unwrap();
+    assert_eq!(found.given.get("stiffness_n_m"), Some(1e9));
+    let of = |name| found.contact.get(name).unwrap();
+    assert!((of("friction") / 0.2 - 1.0).abs() < 0.05, "{found:?}");
+    assert!((of("stiffness_n_m") / 5_000.0 - 1.0).abs() < 0.25, "{found:?}");
+    assert!((of("dissipation_s_m") - 1.5).abs() < 0.5, "{found:?}");
+}
+
+#[test]
+fn restitution_and_stiffness_are_not_fitted_together() {
+    let model = impulses();
+    let scenes = tosses(&model, 2, 0.0);
+    let fit: Vec<usize> =
+        ["restitution", "stiffness_n_m"].iter().map(|name| number(name).unwrap()).collect();
+    assert!(!fit.iter().all(|at| Settings::default().fit.contains(at)));
+    let made = Calibration::new(&model, &scenes, &[], Settings { fit, ..Settings::default() });
+    let error = made.err().unwrap().to_string();
+    assert!(error.contains("restitution") && error.contains("counts for nothing"), "{error}");
 }
 
 #[test]

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rigidformer_evaluation::contact::{Contact, NUMBERS};
+use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::RolloutError;
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_planning::calibrate::{
@@ -23,6 +24,8 @@ use crate::{defaults, interrupt, output};
 
 /// How often a state is written, at most.
 const KEEP_EVERY: Duration = Duration::from_secs(5);
+/// The last frame that pivots are found from where the first one has velocities, as `evaluate` has it.
+const JOINING: usize = 10;
 /// The stream of random numbers that scenes are drawn by; searches have others.
 const DRAW: u64 = 1 << 40;
 
@@ -110,7 +113,9 @@ pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
     let mut scenes = |indices: &[usize]| -> anyhow::Result<Vec<RecordedScene>> {
         let one = |index: &usize| {
             interrupt::check()?;
-            Ok(dataset.scene_within(*index, None, &mut budget)?)
+            let scene = dataset.scene_within(*index, None, &mut budget)?;
+            let last = if scene.has_velocities() { JOINING } else { settings.step as usize };
+            Ok(if arguments.join { joined(scene, last)? } else { scene })
         };
         indices.iter().map(one).collect()
     };
@@ -119,7 +124,7 @@ pub(crate) fn run(arguments: &Calibrate) -> anyhow::Result<()> {
     let calibration =
         Calibration::new(&loaded, &train, &validation, settings.clone()).map_err(plain)?;
     calibration.takes(&test).map_err(plain)?;
-    let of = fingerprint(&dataset, &loaded, &settings, &shares);
+    let of = fingerprint(&dataset, &loaded, (&settings, arguments.join), &shares);
     let mut memo = match arguments.resume.as_deref().filter(|path| path.exists()) {
         Some(path) => known(path, of)?,
         None => Memo::default(),
@@ -215,7 +220,7 @@ fn settings(arguments: &Calibrate) -> anyhow::Result<Settings> {
     fit.sort_unstable();
     fit.dedup();
     if fit.is_empty() {
-        fit = (0..NUMBERS.len()).collect();
+        fit = Settings::default().fit;
     }
     Ok(Settings {
         fit,
@@ -301,7 +306,7 @@ fn shuffle(indices: &mut [usize], seed: u64) {
 fn fingerprint(
     dataset: &Dataset,
     model: &LoadedModel,
-    settings: &Settings,
+    settings: (&Settings, bool),
     shares: &Shares,
 ) -> u64 {
     let hash = |bytes: &[u8], start: u64| {

@@ -22,11 +22,13 @@ What counts is a scene's mean position error in per cent of the units' size, plu
 
 Numbers, by group:
   friction      of a unit with the roughest plane, the product of both coefficients
-  restitution   likewise
+  stiffness     of a unit's contact points against what is rigid, N/m, and what they lose, s/m: contact that gives way
+  restitution   as friction; in place of stiffness, for contact that is rigid
   height        of the table above where the file has it: the plane that faces gravity most
   tilt          of the table, along x and along y
   inertia       a factor of all moments of inertia
-They are the same for all scenes, units and planes.
+They are the same for all scenes, units and planes. Without --fit all are fitted but restitution, which counts for nothing where
+contact gives way.
 
 Scenes are fitted to that are of the split train, and the split test is only measured. A file without such scenes gives all, or the
 N of --train, and the others are the test. Of several starts the one counts that does best on the validation scenes.
@@ -40,7 +42,8 @@ the same command goes on from there, and ends as if it had not been stopped.
 Examples:
   rigidformer calibrate cube-tosses.safetensors --out contact.toml
   rigidformer evaluate cube-tosses.safetensors --steps 2 --contact contact.toml
-  rigidformer calibrate cube-tosses.safetensors --without-network --train 30 --fit friction,restitution --seed 3 --json
+  rigidformer calibrate cube-tosses.safetensors --without-network --train 30 --fit friction,stiffness --seed 3 --json
+  rigidformer calibrate elbow-tosses.safetensors --join --out elbow.toml
   rigidformer calibrate tracked.safetensors --train 20 --validation 0.25 --step 1 --resume calibration.state --out contact.toml")]
 pub(crate) struct Calibrate {
     /// Scene file with recorded poses, such as one of `rigidformer_lab.tosses` or one that `track` wrote
@@ -51,9 +54,13 @@ pub(crate) struct Calibrate {
     /// Impulses alone: the model's motion without what its network corrects
     #[arg(long)]
     pub(crate) without_network: bool,
-    /// Which numbers, groups with commas between [default: all]
+    /// Which numbers, groups with commas between [default: all but restitution]
     #[arg(long, value_name = "GROUPS", value_delimiter = ',')]
     pub(crate) fit: Vec<String>,
+    /// Hold the parts of each body together at pivots that are found from frames 0 to S; of a file with unit_velocity from
+    /// frames 0 to 10
+    #[arg(long)]
+    pub(crate) join: bool,
     /// The split whose scenes are fitted to [default: train; of a file without it, all scenes]
     #[arg(long, value_enum)]
     pub(crate) split: Option<SplitName>,

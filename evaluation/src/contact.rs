@@ -68,7 +68,7 @@ pub struct Number {
 }
 
 /// All numbers, in the order in which scenes take them.
-pub const NUMBERS: [Number; 8] = [
+pub const NUMBERS: [Number; 9] = [
     Number {
         name: "friction",
         group: "friction",
@@ -120,7 +120,9 @@ pub const NUMBERS: [Number; 8] = [
         // A search that begins with what is rigid goes nowhere.
         begin: Some(|parts| {
             let own = |unit: &RecordedUnit| match unit.compliance.is_rigid() {
-                true => unit.physics.mass_kg * parts.gravity_m_s2 / (CORNERS * SAG * side(unit)),
+                true => {
+                    unit.physics.mass_kg * parts.gravity_m_s2.norm() / (CORNERS * SAG * side(unit))
+                }
                 false => unit.compliance.stiffness_n_m,
             };
             parts.mean(own)
@@ -138,10 +140,22 @@ pub const NUMBERS: [Number; 8] = [
         set: |parts, value| parts.free().for_each(|unit| unit.compliance.dissipation_s_m = value),
         begin: Some(|parts| {
             parts.mean(|unit| match unit.compliance.is_rigid() {
-                true => LOST / (parts.gravity_m_s2 * side(unit)).sqrt(),
+                true => LOST / (parts.gravity_m_s2.norm() * side(unit)).sqrt(),
                 false => unit.compliance.dissipation_s_m,
             })
         }),
+        needs_plane: false,
+    },
+    Number {
+        name: "gravity_factor",
+        group: "gravity",
+        meaning: "how strong gravity is, by that in the file: what a record's lengths are too long by",
+        range: [0.5, 2.0],
+        scale: Scale::Log,
+        spread: 0.02,
+        get: |_| 1.0,
+        set: |parts, value| parts.gravity_m_s2 *= value,
+        begin: None,
         needs_plane: false,
     },
     Number {
@@ -211,8 +225,7 @@ struct Parts {
     planes: Vec<Plane>,
     /// The place of the plane that things lie on, before any is tilted: of parallel ones another would come first afterwards.
     table: Option<usize>,
-    /// How strong gravity is.
-    gravity_m_s2: f32,
+    gravity_m_s2: Vector3<f32>,
 }
 
 impl Parts {
@@ -223,7 +236,7 @@ impl Parts {
         // Of equal ones the first, so that the order of a file decides.
         let best = planes.iter().map(rising).fold(f32::NEG_INFINITY, f32::max);
         let table = planes.iter().position(|plane| rising(plane) >= best);
-        Parts { units: scene.units().to_vec(), planes, table, gravity_m_s2: down.norm() }
+        Parts { units: scene.units().to_vec(), planes, table, gravity_m_s2: down }
     }
 
     /// The mean over free units.
@@ -469,7 +482,7 @@ impl Contact {
                 (number.set)(&mut parts, value);
             }
             let planes = scene.planes().map(|_| parts.planes);
-            Ok(scene.with_parts(parts.units, planes)?)
+            Ok(scene.with_parts(parts.units, planes, parts.gravity_m_s2)?)
         })
     }
 
@@ -653,7 +666,7 @@ mod tests {
         let given = scene(vec![wall, Plane::ground(0.5, 0.0)]);
         assert_eq!(Contact::of(&given).get("friction"), Some(0.2));
         let contact = parse(
-            "friction = 0.1\nrestitution = 0.25\ntable_height_m = 0.01\ntable_slope_x = 0.1\ninertia_factor = 2",
+            "friction = 0.1\nrestitution = 0.25\ngravity_factor = 0.5\ntable_height_m = 0.01\ntable_slope_x = 0.1\ninertia_factor = 2",
         )
         .unwrap();
         let scene = contact.applied(&given).unwrap();
@@ -668,6 +681,7 @@ mod tests {
         let over = |x: f32, z: f32| table.normal.dot(&Vector3::new(x, 0.3, z)) - table.offset_m;
         assert!(over(0.0, 0.01).abs() < 1e-6 && over(1.0, 0.11).abs() < 1e-6, "{table:?}");
         assert_eq!(across.normal, wall.normal);
+        assert_eq!(scene.gravity_m_s2(), given.gravity_m_s2() * 0.5);
         assert_eq!(Contact::default().applied(&given).unwrap(), given);
         let error = contact.applied(&super::tests::scene(Vec::new())).unwrap_err().to_string();
         assert!(error.contains("toss") && error.contains("table_height_m"), "{error}");

@@ -467,10 +467,10 @@ impl RecordedScene {
         &self,
         units: Vec<RecordedUnit>,
         planes: Option<Vec<Plane>>,
+        gravity_m_s2: Vector3<f32>,
     ) -> Result<Self, SceneError> {
         let kind = (self.seed, self.split);
-        let new =
-            Self::checked(self.name.clone(), kind, self.frame_rate_hz, self.gravity_m_s2, units)?;
+        let new = Self::checked(self.name.clone(), kind, self.frame_rate_hz, gravity_m_s2, units)?;
         let new = match planes {
             Some(planes) => new.with_planes(planes)?,
             None => new,

@@ -93,7 +93,7 @@ impl Default for Settings {
             step: 2,
             weights: Weights::default(),
             starts: 2,
-            evaluations: 200,
+            evaluations: 400,
             resamples: 400,
             seed: 1,
         }

@@ -24,6 +24,7 @@ Numbers, by group:
   friction      of a unit with the roughest plane, the product of both coefficients
   stiffness     of a unit's contact points against what is rigid, N/m, and what they lose, s/m: contact that gives way
   restitution   as friction; in place of stiffness, for contact that is rigid
+  gravity       a factor, by which a record's lengths are too long
   height        of the table above where the file has it: the plane that faces gravity most
   tilt          of the table, along x and along y
   inertia       a factor of all moments of inertia
@@ -83,7 +84,7 @@ pub(crate) struct Calibrate {
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u8).range(1..=16))]
     pub(crate) starts: u8,
     /// Rollouts of all these scenes in a search, at most
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(4..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(4..=100_000))]
     pub(crate) evaluations: u32,
     /// Resampled sets of scenes that intervals are of; 0: no intervals
     #[arg(long, value_name = "N", default_value_t = 400, value_parser = clap::value_parser!(u32).range(..=10_000))]

@@ -1733,7 +1733,7 @@ fn calibrate_says_what_is_wrong() {
     fails_with(
         &["--fit", "stickiness"],
         2,
-        &["--fit stickiness", "friction, restitution, stiffness, height, tilt, inertia"],
+        &["--fit stickiness", "friction, restitution, stiffness, gravity, height, tilt, inertia"],
     );
     fails_with(&["--train", "2"], 2, &["--train 2", "has 1 scenes"]);
     fails_with(&["--validation", "0.9"], 2, &["--validation 0.9", "smaller share"]);

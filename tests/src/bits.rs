@@ -3,7 +3,7 @@
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
 use crate::{Golden, Inputs, Room, Seen, data, packed_model};
-use rigidformer_core::{Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
+use rigidformer_core::{Compliance, Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
 use rigidformer_evaluation::models::{Precision, quantise};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
@@ -98,8 +98,14 @@ pub fn models() -> Vec<(String, AlignedBuffer)> {
             models.push((format!("{name}-{suffix}"), quantised(packed, precision)));
         }
     }
+    // Contact is the same for each kind of storage.
+    let edge = AlignedBuffer::copy_of(rigidformer_weights::EDGE);
+    models.push((format!("edge{GIVING}-i8"), quantised(&edge, Precision::I8)));
     models
 }
+
+/// What follows the name of a scene whose contact gives way.
+pub const GIVING: &str = "-giving";
 
 /// The model of soft bodies, whose scene is a file of scenes.
 pub const SOFT: &str = "tiny-soft";
@@ -107,13 +113,16 @@ pub const SOFT: &str = "tiny-soft";
 /// What a rollout begins with.
 enum Start {
     Rigid(Golden, Inputs),
+    /// As `Rigid`, with contact that gives way.
+    Giving(Golden, Inputs),
     Soft(Box<Seen>),
 }
 
 impl Start {
     /// That of a model such as `tiny-i8`.
     fn of(name: &str) -> Self {
-        let (scene, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
+        let (full, _) = name.rsplit_once('-').expect("a name such as tiny-i8");
+        let scene = full.strip_suffix(GIVING).unwrap_or(full);
         if scene == SOFT {
             return Start::Soft(Box::new(Seen::golden()));
         }
@@ -123,13 +132,13 @@ impl Start {
             // An emulator needs a minute for four units of this model.
             inputs = inputs.permuted(&EDGE_UNITS);
         }
-        Start::Rigid(golden, inputs)
+        if scene == full { Start::Rigid(golden, inputs) } else { Start::Giving(golden, inputs) }
     }
 
     /// Units, and points of all of them.
     fn room(&self) -> (usize, usize) {
         match self {
-            Start::Rigid(_, inputs) => {
+            Start::Rigid(_, inputs) | Start::Giving(_, inputs) => {
                 (inputs.points.len(), inputs.points.iter().map(Vec::len).sum())
             }
             Start::Soft(seen) => (seen.scene.units().len(), seen.scene.points()),
@@ -138,7 +147,7 @@ impl Start {
 
     fn observe(&self, simulator: &mut Simulator<'_, '_>) {
         match self {
-            Start::Rigid(golden, inputs) => {
+            Start::Rigid(golden, inputs) | Start::Giving(golden, inputs) => {
                 if let Some(command) = golden.command() {
                     simulator.set_command(&command).expect("command");
                 }
@@ -150,9 +159,27 @@ impl Start {
                 }
                 simulator.observe_poses(golden.dt_s(), posed).expect("observation");
                 golden.bond(simulator);
+                if matches!(self, Start::Giving(..)) {
+                    give_way(simulator);
+                }
             }
             Start::Soft(seen) => seen.observe(simulator).expect("observation"),
         }
+    }
+}
+
+/// Makes contact with all units and planes give way.
+fn give_way(simulator: &mut Simulator<'_, '_>) {
+    let compliance = |unit: usize| Compliance {
+        stiffness_n_m: 2e4 * (unit + 1) as f32,
+        dissipation_s_m: 0.5 * unit as f32,
+    };
+    let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+    for (number, id) in ids.into_iter().enumerate() {
+        simulator.set_compliance(id, compliance(number)).expect("compliance");
+    }
+    for plane in 0..simulator.planes().len() {
+        simulator.set_plane_compliance(plane, compliance(plane + 9)).expect("compliance");
     }
 }
 

@@ -41,6 +41,7 @@ fn kernels_threads_and_batches_equal_the_committed_hashes() {
     for kernel in Kernel::available() {
         check(kernel, Threads::ONE, 2, "tiny");
         check(kernel, Threads::ONE, 1, "edge-i8");
+        check(kernel, Threads::ONE, 1, "edge-giving-i8");
     }
     let fastest = Kernel::available().pop().unwrap();
     check(fastest, Threads::ONE, 1, "edge");

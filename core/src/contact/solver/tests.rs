@@ -16,8 +16,10 @@ use crate::stand_in::OfCompliance;
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
+mod closed_forms;
 #[cfg(feature = "deform")]
 mod clusters;
+mod collisions;
 #[cfg(feature = "compliance")]
 mod giving;
 
@@ -145,6 +147,22 @@ impl World {
             slot.go_to(row);
         }
         rows
+    }
+
+    /// As [`step`](Self::step), as a simulator takes it: once, and what lies still is known.
+    fn go(&mut self) {
+        let rows = self.solve_with(true);
+        for (slot, row) in self.slots.iter_mut().zip(&rows) {
+            slot.go_to(row);
+        }
+        #[cfg(rigidformer_host)]
+        mark_still(&mut self.slots, &self.prior, &mut self.scratch);
+    }
+
+    /// Velocity and spin at the end of the last step.
+    fn motion(&self, unit: usize) -> [Vector3<f32>; 2] {
+        let course = &self.slots[unit].course;
+        [course.way / self.dt + self.gravity * (0.5 * self.dt), course.turn() / self.dt]
     }
 
     fn run(&mut self, seconds: f32) {

@@ -723,7 +723,8 @@ mod tests {
     #[test]
     fn a_factor_of_1_changes_no_inertia() {
         let given = scene(vec![Plane::ground(0.5, 0.5)]);
-        let contact = |factor: f32| Contact::default().with(5, Some(factor));
+        let at = NUMBERS.iter().position(|number| number.name == "inertia_factor").unwrap();
+        let contact = |factor: f32| Contact::default().with(at, Some(factor));
         assert_eq!(contact(1.0).applied(&given).unwrap(), given);
         let near = contact(1.0 + f32::EPSILON).applied(&given).unwrap();
         assert!(near.units()[0].inertia.is_some());

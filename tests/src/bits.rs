@@ -3,7 +3,9 @@
 //! `docs/BITS.md` tells how the equality is kept and how `tests/data/bits.txt` is regenerated.
 
 use crate::{Golden, Inputs, Room, Seen, data, packed_model};
-use rigidformer_core::{Compliance, Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView};
+use rigidformer_core::{
+    Compliance, Limits, Model, Simulator, SlabSizes, StepError, StepReport, UnitView,
+};
 use rigidformer_evaluation::models::{Precision, quantise};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;

@@ -398,6 +398,20 @@ enum rf_status
    */
   RF_ERROR_BAD_VELOCITY = 114,
   /**
+   * A contact stiffness is neither 0 (rigid) nor from 1e-3 to 1e12 N/m, or a dissipation is outside 0 to
+   * 1e6 s/m. Detail: `unit`, or which plane, in `index`.
+   */
+  RF_ERROR_BAD_COMPLIANCE = 115,
+  /**
+   * The scene has no plane of that number. Detail: the number `found`, planes in `expected`.
+   */
+  RF_ERROR_NO_SUCH_PLANE = 116,
+  /**
+   * The library was built without compliance: the feature `compliance` of rigidformer-capi, which `std`
+   * has.
+   */
+  RF_ERROR_NO_COMPLIANCE = 117,
+  /**
    * A unit cannot be bonded to itself. Detail: the id `found`.
    */
   RF_ERROR_BOND_ITSELF = 120,
@@ -809,6 +823,22 @@ typedef struct rf_unit {
    */
   size_t piece_count;
 } rf_unit;
+
+/**
+ * How contact with a unit or a plane gives way: at a depth d that changes by d' a second, each contact
+ * point pushes with `stiffness d (1 + dissipation d')` newtons, and never pulls. Two that touch give way in
+ * series. Where one gives way, restitution counts for nothing.
+ */
+typedef struct rf_compliance {
+  /**
+   * At a contact point, N/m, from 1e-3 to 1e12; 0 or infinite: rigid.
+   */
+  float stiffness_n_m;
+  /**
+   * s/m, from 0 to 1e6.
+   */
+  float dissipation_s_m;
+} rf_compliance;
 
 /**
  * An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the
@@ -1278,6 +1308,32 @@ rf_status rf_set_velocities(struct rf_simulator *simulator,
 rf_status rf_set_physics(struct rf_simulator *simulator,
                          rf_unit_id id,
                          const struct rf_physics *physics);
+
+/**
+ * Changes how contact with a unit gives way; without this call it is rigid. rf_observe makes it rigid again.
+ *
+ * @param simulator   the simulator
+ * @param id          which unit
+ * @param compliance  how contact with it gives way from now on
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_COMPLIANCE or
+ *         RF_ERROR_NO_COMPLIANCE. Where it is refused, the unit is what it was
+ */
+rf_status rf_set_compliance(struct rf_simulator *simulator,
+                            rf_unit_id id,
+                            const struct rf_compliance *compliance);
+
+/**
+ * Changes how contact with a plane gives way; it lasts until rf_set_planes, which makes all rigid.
+ *
+ * @param simulator   the simulator
+ * @param plane       which plane, from 0, in the order of rf_set_planes
+ * @param compliance  how contact with it gives way from now on
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_PLANE, RF_ERROR_BAD_COMPLIANCE or
+ *         RF_ERROR_NO_COMPLIANCE. Where it is refused, the plane is what it was
+ */
+rf_status rf_set_plane_compliance(struct rf_simulator *simulator,
+                                  uint32_t plane,
+                                  const struct rf_compliance *compliance);
 
 /**
  * Changes who moves a unit. A unit that becomes free goes on with the motion of its last step. A

@@ -13,11 +13,12 @@ use crate::report::{Missing, Report};
 const BARE: &str = "thumbv7em-none-eabihf";
 
 /// The combinations of core and of the C library. `host` has all that the others have, so nothing goes beside it.
-pub(crate) const OFFERED: [&str; 9] = [
+pub(crate) const OFFERED: [&str; 10] = [
     "",
     "robot",
     "deform",
     "health",
+    "compliance",
     "robot,deform",
     "robot,health",
     "deform,health",

@@ -88,10 +88,12 @@ fn merge(scene: &RecordedScene) -> Result<Merged, Box<dyn Error>> {
     let mut merged = RecordedUnit::new("all", pieces.concat(), physics, vec![body; scene.frames()])
         .with_velocity(Velocity { linear_m_s: linear, angular_rad_s: angular })
         .with_inertia(axes.eigenvalues.into());
-    merged = merged.with_pieces(ConvexPieces::merged(pieces, 2));
+    merged =
+        merged.with_pieces(ConvexPieces::merged(pieces, 2)).with_compliance(units[0].compliance);
     let (name, gravity) = (scene.name(), scene.gravity_m_s2());
     let rate = scene.frame_rate_hz();
     let rigid = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, vec![merged])?;
     let planes = scene.planes().map(<[_]>::to_vec).unwrap_or_default();
-    Ok((rigid.with_planes(planes)?, own))
+    let compliance = scene.plane_compliance().to_vec();
+    Ok((rigid.with_planes(planes)?.with_plane_compliance(compliance)?, own))
 }

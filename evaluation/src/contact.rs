@@ -119,13 +119,13 @@ pub const NUMBERS: [Number; 9] = [
         },
         // A search that begins with what is rigid goes nowhere.
         begin: Some(|parts| {
-            let own = |unit: &RecordedUnit| match unit.compliance.is_rigid() {
+            parts.mean(|unit| match unit.compliance.is_rigid() {
                 true => {
-                    unit.physics.mass_kg * parts.gravity_m_s2.norm() / (CORNERS * SAG * side(unit))
+                    let weight = unit.physics.mass_kg * parts.pull(unit);
+                    weight / (CORNERS * SAG * side(unit))
                 }
                 false => unit.compliance.stiffness_n_m,
-            };
-            parts.mean(own)
+            })
         }),
         needs_plane: false,
     },
@@ -140,7 +140,7 @@ pub const NUMBERS: [Number; 9] = [
         set: |parts, value| parts.free().for_each(|unit| unit.compliance.dissipation_s_m = value),
         begin: Some(|parts| {
             parts.mean(|unit| match unit.compliance.is_rigid() {
-                true => LOST / (parts.gravity_m_s2.norm() * side(unit)).sqrt(),
+                true => LOST / (parts.pull(unit) * side(unit)).sqrt(),
                 false => unit.compliance.dissipation_s_m,
             })
         }),
@@ -247,6 +247,12 @@ impl Parts {
 
     fn free(&mut self) -> impl Iterator<Item = &mut RecordedUnit> {
         self.units.iter_mut().filter(|unit| unit.role == Role::Free)
+    }
+
+    /// How strong gravity is, m/s^2; without any, as much as moves a unit by its size in a second.
+    fn pull(&self, unit: &RecordedUnit) -> f32 {
+        let strong = self.gravity_m_s2.norm();
+        if strong > 0.0 { strong } else { side(unit) }
     }
 
     /// A coefficient of the roughest plane, as identification has it; 1 without planes.
@@ -775,6 +781,21 @@ mod tests {
         assert_eq!(Contact::begin(&soft).get("stiffness_n_m"), Some(2e4));
         let back = parse("stiffness_n_m = 1e9\ndissipation_s_m = 0").unwrap();
         assert_eq!(back.applied(&soft).unwrap(), given);
+    }
+
+    #[test]
+    fn a_search_begins_somewhere_without_gravity() {
+        let given = scene(vec![Plane::ground(0.5, 0.5)]);
+        let falls = Contact::begin(&given);
+        let parts = Parts { gravity_m_s2: Vector3::zeros(), ..Parts::of(&given) };
+        let begin = |name: &str| {
+            let number = NUMBERS.iter().find(|number| number.name == name).unwrap();
+            number.begin.unwrap()(&parts)
+        };
+        // A gravity of .1 m/s^2 in place of 9.81.
+        let share = begin("stiffness_n_m") / falls.get("stiffness_n_m").unwrap();
+        assert!((share * 98.1 - 1.0).abs() < 1e-4, "{share}");
+        assert!((begin("dissipation_s_m") - 40.0).abs() < 1e-3);
     }
 
     #[test]

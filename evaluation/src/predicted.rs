@@ -163,7 +163,9 @@ impl Predicted {
         let made = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, units)?;
         let made = made.with_mesh(scene.mesh().clone())?.with_bonds(self.bonds(scene))?;
         match scene.planes() {
-            Some(planes) => made.with_planes(planes.to_vec()),
+            Some(planes) => made
+                .with_planes(planes.to_vec())?
+                .with_plane_compliance(scene.plane_compliance().to_vec()),
             None => Ok(made),
         }
     }

@@ -45,7 +45,7 @@ pub struct Start<'a> {
     pub command: &'a [f32],
     /// Planes; the model's ground where there are none given.
     pub planes: Option<&'a [Plane]>,
-    /// How contact with each of `planes` gives way; none: all are rigid.
+    /// How contact with the first planes gives way; those behind are rigid, or as the state has them.
     pub plane_compliance: &'a [Compliance],
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
@@ -548,9 +548,9 @@ impl BatchSimulator {
             }
             if let Some(planes) = start.planes {
                 simulator.set_planes(planes)?;
-                for (plane, compliance) in start.plane_compliance.iter().enumerate() {
-                    simulator.set_plane_compliance(plane, *compliance)?;
-                }
+            }
+            for (plane, compliance) in start.plane_compliance.iter().enumerate() {
+                simulator.set_plane_compliance(plane, *compliance)?;
             }
             if let Some(gravity) = start.gravity_m_s2 {
                 simulator.set_gravity(gravity)?;

@@ -351,9 +351,6 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BOND_MOTION, c"the model does not move units that hold together"),
     (RF_ERROR_NO_BONDS, c"this library was built without bonds"),
     (RF_ERROR_NO_HEALTH, c"this library was built without health"),
-    (RF_ERROR_BAD_COMPLIANCE, c"a contact stiffness or dissipation is out of its range"),
-    (RF_ERROR_NO_SUCH_PLANE, c"the scene has no plane of that number"),
-    (RF_ERROR_NO_COMPLIANCE, c"this library was built without compliance"),
     (RF_ERROR_BAD_VARIANCE, c"a variance is not above 0 and at most 1e12"),
     (RF_ERROR_NOT_OBSERVED, c"nothing to step; observe a scene or add units first"),
     (RF_ERROR_NO_COMMAND, c"the model takes commands and none was set"),
@@ -365,6 +362,9 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
     (RF_ERROR_COMMAND_NUMBER, c"a number of the command is not finite"),
     (RF_ERROR_BAD_VELOCITY, c"a unit would turn over half a turn a step, or there is not one velocity a unit"),
+    (RF_ERROR_BAD_COMPLIANCE, c"a contact stiffness or dissipation is out of its range"),
+    (RF_ERROR_NO_SUCH_PLANE, c"the scene has no plane of that number"),
+    (RF_ERROR_NO_COMPLIANCE, c"this library was built without compliance"),
     (RF_ERROR_BOND_ITSELF, c"a unit cannot be bonded to itself"),
     (RF_ERROR_BOND_NOT_FREE, c"only free rigid units hold together"),
     (RF_ERROR_BOND_JOINED, c"a unit that is joined to another cannot be bonded"),
@@ -436,6 +436,7 @@ mod tests {
             96, 97, 98, // step
             104, 105, 106, 107, // state
             112, 113, 114, // command, velocity
+            115, 116, 117, // compliance
             120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];

@@ -279,6 +279,8 @@ impl Scene {
             RecordedScene::new(name, seed, split, rate, read.gravity_m_s2(), units).or_raise()?;
         if let Some(planes) = read.planes().filter(|_| knows_planes) {
             scene = scene.with_planes(planes.to_vec()).or_raise()?;
+            let compliance = read.plane_compliance().to_vec();
+            scene = scene.with_plane_compliance(compliance).or_raise()?;
         }
         let size = read.command_size();
         if size > 0 {

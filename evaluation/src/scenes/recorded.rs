@@ -421,10 +421,10 @@ impl RecordedScene {
         Self { planes: Some(planes), plane_compliance: Vec::new(), ..self }
     }
 
-    /// The same scene, with planes that give way: the stiffness and the dissipation of each.
+    /// The same scene, with planes that give way: the stiffness and the dissipation of each, or none where all are rigid.
     ///
     /// # Errors
-    /// [`Problem::Inconsistent`] unless there is one for each plane, [`Problem::BadPlaneCompliance`] for one out of range.
+    /// [`Problem::Inconsistent`] unless there is one for each plane or none, [`Problem::BadPlaneCompliance`] for one out of range.
     ///
     /// ```
     /// use rigidformer_core::{Compliance, Plane};
@@ -440,7 +440,7 @@ impl RecordedScene {
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
     pub fn with_plane_compliance(self, all: Vec<Compliance>) -> Result<Self, SceneError> {
-        if self.planes().map_or(0, <[Plane]>::len) != all.len() {
+        if !all.is_empty() && self.planes().map_or(0, <[Plane]>::len) != all.len() {
             let text = "needs the compliance of each of its planes";
             return Err(in_memory(self.name, Problem::Inconsistent(text)));
         }

@@ -104,7 +104,9 @@ impl Layout {
     /// (rows, 2)
     fn compliance(&mut self, name: &str, rows: impl ExactSizeIterator<Item = Compliance>) {
         let shape = [rows.len(), 2];
-        self.f32(name, &shape, rows.flat_map(|row| [row.stiffness_n_m, row.dissipation_s_m]));
+        // Files have finite numbers, and 0 is rigid.
+        let stiffness = |row: &Compliance| if row.is_rigid() { 0.0 } else { row.stiffness_n_m };
+        self.f32(name, &shape, rows.flat_map(|row| [stiffness(&row), row.dissipation_s_m]));
     }
 
     fn i32(&mut self, name: &str, values: impl ExactSizeIterator<Item = i32>) {

@@ -813,6 +813,11 @@ fn compliance_is_in_its_range() {
     assert!(matches!(of_planes(vec![FOAM]).problem, Problem::Inconsistent(_)));
     let found = of_planes(vec![FOAM, bad]).problem;
     assert!(matches!(found, Problem::BadPlaneCompliance { plane: 1 }), "{found}");
+    // What is infinitely stiff is rigid, which files say by 0.
+    let stiff = Compliance { stiffness_n_m: f32::INFINITY, ..FOAM };
+    let scene = everything().with_plane_compliance(vec![stiff, FOAM]).unwrap();
+    let read = Dataset::from_bytes("stiff", encoded(&scene)).unwrap().scene(0, None).unwrap();
+    assert!(read.plane_compliance()[0].is_rigid() && read.plane_compliance()[1] == FOAM);
     // New planes are rigid.
     let scene = everything().with_planes(vec![Plane::ground(0.3, 0.5)]).unwrap();
     assert!(scene.plane_compliance().is_empty());

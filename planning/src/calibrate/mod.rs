@@ -45,6 +45,7 @@ mod space;
 
 use std::sync::atomic::Ordering;
 
+use rigidformer_core::Compliance;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_evaluation::contact::{Contact, NUMBERS};
 use rigidformer_evaluation::scenes::RecordedScene;
@@ -168,10 +169,22 @@ impl<'m> Calibration<'m> {
     /// Checks that scenes can take the numbers that are fitted, also those of a test: what a search has found is not to be lost to them.
     ///
     /// # Errors
-    /// [`CalibrateError::Contact`] names the first that cannot.
+    /// [`CalibrateError::Contact`] names the first that cannot, [`CalibrateError::Scene`] the first that gives way where restitution is fitted.
     pub fn takes(&self, scenes: &[RecordedScene]) -> Result<(), CalibrateError> {
         let given = self.space.given();
-        scenes.iter().try_for_each(|scene| Ok(given.applied(scene).map(drop)?))
+        let bounces = given.get(RESTITUTION).is_some();
+        scenes.iter().try_for_each(|scene| {
+            let mut all = scene.units().iter().map(|unit| unit.compliance);
+            let rigid = |compliance: &Compliance| compliance.is_rigid();
+            if bounces
+                && !(all.all(|own| rigid(&own)) && scene.plane_compliance().iter().all(rigid))
+            {
+                let what =
+                    "gives way, so that restitution counts for nothing; fit stiffness in its place";
+                return Err(CalibrateError::Scene { scene: scene.name().to_owned(), what });
+            }
+            Ok(given.applied(scene).map(drop)?)
+        })
     }
 
     /// Rollouts of all training scenes that it takes, about.

@@ -148,6 +148,12 @@ fn restitution_and_stiffness_are_not_fitted_together() {
     let made = Calibration::new(&model, &scenes, &[], Settings { fit, ..Settings::default() });
     let error = made.err().unwrap().to_string();
     assert!(error.contains("restitution") && error.contains("counts for nothing"), "{error}");
+    let soft: Vec<_> =
+        scenes.iter().map(|scene| of(&[("stiffness_n_m", 1e4)]).applied(scene).unwrap()).collect();
+    let fit = vec![number("restitution").unwrap()];
+    let made = Calibration::new(&model, &soft, &[], Settings { fit, ..Settings::default() });
+    let error = made.err().unwrap().to_string();
+    assert!(error.contains("toss 0") && error.contains("fit stiffness"), "{error}");
 }
 
 #[test]

@@ -9,7 +9,7 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use rigidformer_core::{Limits, Physics, Plane, Unit, UnitId};
+use rigidformer_core::{Compliance, Limits, Physics, Plane, Unit, UnitId};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::world::World;
 
@@ -169,5 +169,33 @@ fn a_ball_rolls_on_and_down_and_comes_to_roll() {
             let worst = row(&what, &each(&loaded(name), roll));
             assert!(worst < 0.05, "{what}: {worst}");
         }
+    }
+}
+
+/// In newtons and metres, whatever length and mass the model measures by.
+#[test]
+fn what_lies_on_springs_sinks_as_its_weight_says() {
+    let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+    for (side, gravity) in [(0.05_f32, 9.81), (0.5, 9.81), (0.1, 1.6)] {
+        let mass_kg = 1000.0 * side.powi(3);
+        let sag = 0.005 * side;
+        let compliance = Compliance {
+            stiffness_n_m: mass_kg * gravity / (4.0 * sag),
+            dissipation_s_m: 4.0 / (gravity * side).sqrt(),
+        };
+        let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.5 } else { 0.5 } * side);
+        let corners: Vec<_> = (0..8).map(|i| Point3::from(corner(i))).collect();
+        let wood = Physics { mass_kg, friction: 0.5, restitution: 0.5 };
+        let mut world = World::new(&model, Limits { units: 1, points: 8 }).unwrap();
+        world.set_gravity(Vector3::new(0.0, 0.0, -gravity)).unwrap();
+        world.set_planes(&[Plane::ground(1.0, 1.0)]).unwrap();
+        world.set_dt(1.0 / 24.0).unwrap();
+        let unit = Unit::new(&corners, wood).compliance(compliance);
+        let cube = world.add(&unit, &Isometry3::translation(0.0, 0.0, 0.5 * side)).unwrap();
+        for _ in 0..72 {
+            world.step().unwrap();
+        }
+        let sunk = 0.5 * side - world.pose(cube).unwrap().translation.z;
+        assert!((sunk / sag - 1.0).abs() < 0.1, "{side} {gravity}: {sunk} {sag}");
     }
 }

@@ -355,6 +355,19 @@ fn copies_go_on_together_and_alone() {
     assert_eq!(all.simulator().snapshot_copy(3, &mut []), Err(none));
     let other_scene = Err(SnapshotError::OtherScene);
     assert_eq!(all.edit(|simulator| simulator.restore_copy(0, &bytes)), other_scene);
+    // How another copy gives way is no part of this one.
+    let soft = Compliance { stiffness_n_m: 1e4, dissipation_s_m: 1.0 };
+    let (rigid, id) = (alone[0].clone(), all.simulator().units().next().unwrap().id());
+    all.edit(|simulator| simulator.set_compliance_in(1, id, soft)).unwrap();
+    assert_eq!(all.edit(|simulator| simulator.restore_copy(0, &rigid)), Ok(()));
+    let mut giving = vec![0; all.simulator().copy_snapshot_bytes()];
+    assert!(all.simulator().snapshot_copy(1, &mut giving).is_ok());
+    all.edit(|simulator| simulator.restore_copy(1, &alone[1])).unwrap();
+    assert!(all.simulator().units().all(|unit| unit.compliance().is_rigid()));
+    assert_eq!(all.edit(|simulator| simulator.restore_copy(1, &giving)), Ok(()));
+    all.edit(|simulator| simulator.set_plane_compliance(0, soft)).unwrap();
+    assert_eq!(all.edit(|simulator| simulator.restore_copy(0, &rigid)), other_scene);
+    all.edit(|simulator| simulator.set_plane_compliance(0, Compliance::RIGID)).unwrap();
     all.edit(|simulator| simulator.set_gravity(Vector3::zeros())).unwrap();
     assert_eq!(all.edit(|simulator| simulator.restore_copy(0, &alone[0])), other_scene);
 }

@@ -97,9 +97,14 @@ impl<'b> Checked<'b> {
         Plane { normal: self.words.vector(at), offset_m, friction, restitution }
     }
 
+    /// Whether it has how contact gives way.
+    pub(super) fn gives_way(&self) -> bool {
+        self.flags() & GIVES_WAY != 0
+    }
+
     /// Words of how contact gives way, a plane and a unit.
     fn compliance_words(&self) -> usize {
-        if self.flags() & GIVES_WAY != 0 { COMPLIANCE } else { 0 }
+        if self.gives_way() { COMPLIANCE } else { 0 }
     }
 
     fn start_of_plane(&self, number: usize) -> usize {
@@ -367,7 +372,7 @@ impl Simulator<'_, '_> {
         if checked.flags() & QUARANTINES != 0 {
             return Err(SnapshotError::LeftOut);
         }
-        if cfg!(not(feature = "compliance")) && checked.flags() & GIVES_WAY != 0 {
+        if cfg!(not(feature = "compliance")) && checked.gives_way() {
             return Err(SnapshotError::LeftOut);
         }
         ensure(checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY, HEAD + 4)

@@ -130,7 +130,10 @@ impl Simulator<'_, '_> {
             return Err(SnapshotError::NoSuchCopy { copy, copies });
         }
         let mut compare = Compare { words: checked.words, at: HEAD, is_same: true };
-        self.write_scene(&mut compare);
+        // Units of the other copies may give way where those of this one do not.
+        let gives_way = checked.gives_way();
+        self.write_scene(&mut compare, gives_way);
+        compare.is_same &= gives_way || !self.planes_give_way();
         if checked.copies != 1 || !compare.is_same || compare.at != checked.start_of_copies {
             return Err(SnapshotError::OtherScene);
         }
@@ -154,7 +157,7 @@ impl Simulator<'_, '_> {
 
     fn bytes_of(&self, copies: Range<usize>) -> usize {
         let mut count = Count(HEAD);
-        self.write_scene(&mut count);
+        self.write_scene(&mut count, self.gives_way());
         copies.for_each(|copy| self.write_copy(copy, &mut count));
         count.0.saturating_add(END).saturating_mul(WORD)
     }
@@ -169,7 +172,7 @@ impl Simulator<'_, '_> {
         writer.long(identity::identity(self.model));
         writer.word(copies.len() as u32);
         writer.long(self.next_id);
-        self.write_scene(&mut writer);
+        self.write_scene(&mut writer, self.gives_way());
         copies.for_each(|copy| self.write_copy(copy, &mut writer));
         writer.long(writer.hash.number());
         Ok(needed)
@@ -177,21 +180,25 @@ impl Simulator<'_, '_> {
 
     /// Whether contact of any plane or unit gives way, in any copy.
     fn gives_way(&self) -> bool {
+        self.planes_give_way()
+            || self.scene.units().iter().any(|unit| !unit.compliance().is_rigid())
+    }
+
+    fn planes_give_way(&self) -> bool {
         let Self { scene, given, .. } = self;
         (0..given.planes.len()).any(|plane| !scene.plane_compliance(plane).is_rigid())
-            || scene.units().iter().any(|unit| !unit.compliance().is_rigid())
     }
 
     /// What all copies share.
-    fn write_scene<S: Sink>(&self, to: &mut S) {
+    fn write_scene<S: Sink>(&self, to: &mut S, gives_way: bool) {
         let Self { scene, given, sizes, .. } = self;
         let units = scene.units().get(..scene.per_copy).unwrap_or_default();
         let counts = [units.len(), given.planes.len(), self.pairs().count(), sizes.command];
         to.words(counts.map(|count| count as u32));
         let quarantines = self.quarantines.get().is_some_and(|holds| *holds);
         let commanded = if self.commanded { COMMANDED } else { 0 };
-        let gives_way = if self.gives_way() { GIVES_WAY } else { 0 };
-        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | gives_way);
+        let giving = if gives_way { GIVES_WAY } else { 0 };
+        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());
@@ -200,7 +207,7 @@ impl Simulator<'_, '_> {
         for (number, plane) in given.planes.iter().enumerate() {
             to.vector(&plane.normal);
             to.numbers([plane.offset_m, plane.friction, plane.restitution]);
-            if gives_way > 0 {
+            if gives_way {
                 write_compliance(&scene.plane_compliance(number), to);
             }
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Matrix6, Vector6};
-use rigidformer_core::{Limits, Plane, Posed, Role};
+use rigidformer_core::{Compliance, Limits, Plane, Posed, Role};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_evaluation::score::{Prediction, Score, Seen, Settings, score};
 use rigidformer_perception::capture::Capture;
@@ -131,6 +131,12 @@ impl Truth {
                 })
                 .collect();
             world.set_planes(&planes)?;
+            if physics.is_none() {
+                let mut all = self.scene.plane_compliance().iter().enumerate();
+                world.edit(|simulator| {
+                    all.try_for_each(|(plane, own)| simulator.set_plane_compliance(plane, *own))
+                })?;
+            }
         }
         Ok(world)
     }
@@ -156,6 +162,7 @@ impl Truth {
             if let Some(options) = physics {
                 own.physics = options.physics_of(volume_m3(&unit.points));
                 own.inertia_kg_m2 = None;
+                own.compliance = Compliance::RIGID;
             }
             own.role = if own.role == Role::Driven { Role::Free } else { own.role };
             Posed { unit: own, previous: *before, current: *now }

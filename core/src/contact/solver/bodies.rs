@@ -1009,6 +1009,11 @@ impl<'r> Bodies<'r> {
                 let [velocity, spin] = self.shift(number);
                 let half = 0.5 * time;
                 (way, turn) = ((mover.velocity + velocity) * half, (mover.spin + spin) * half);
+                // A step may be as long as a swing, which is slow at both ends of it.
+                let (marks, speed) = (self.marks(number), mover.speed(unit.radius));
+                if unit.is_free() && speed > marks.speed {
+                    self.set_marks(number, &Marks { speed, ..marks });
+                }
             } else if unit.is_free() && self.marks(number).touched != Touched::Now {
                 // A parabola, exactly.
                 way -= world.gravity_velocity_change() * (0.5 * time);

@@ -7,7 +7,7 @@ use rigidformer_core::{
     Layout, Limits, Model, NoTrace, Physics, Plane, Portable, Posed, Role, Schedule, Serial,
     Simulator, SlabSizes, Tiles,
 };
-use rigidformer_tests::bits::{SOFT, models};
+use rigidformer_tests::bits::{GIVING, SOFT, models};
 use rigidformer_tests::{Golden, Inputs, Random, Room, packed_model, seconds};
 
 /// One thread with an index, and other tiles.
@@ -103,6 +103,10 @@ fn rollouts_of_the_golden_scenes_are_equal() {
         let (scene, storage) = name.rsplit_once('-').unwrap();
         // The points of soft bodies change their places: they are not searched by an index.
         if scene == SOFT {
+            continue;
+        }
+        // An index searches as well whatever contact does.
+        if scene.ends_with(GIVING) {
             continue;
         }
         let golden = Golden::read(scene);

@@ -33,7 +33,7 @@ impl Physics {
 ///
 /// Two that touch give way in series: the pair has `1 / k = 1 / k1 + 1 / k2`, and `c / k = c1 / k1 + c2 / k2`. Where both are
 /// rigid, contact stops approaches at once, and restitution says how it bounces. Where either gives way, `k` and `c` say
-/// that, and restitution counts for nothing. Models that do not move units by impulses take no notice of it.
+/// that, and restitution counts for nothing. It is for models that move units by impulses; others have no springs.
 ///
 /// ```
 /// use rigidformer_core::Compliance;

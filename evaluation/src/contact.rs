@@ -149,7 +149,7 @@ pub const NUMBERS: [Number; 9] = [
     Number {
         name: "gravity_factor",
         group: "gravity",
-        meaning: "how strong gravity is, by that in the file: what a record's lengths are too long by",
+        meaning: "how strong gravity is, by that in the file: below 1 where a record's lengths are too short",
         range: [0.5, 2.0],
         scale: Scale::Log,
         spread: 0.02,

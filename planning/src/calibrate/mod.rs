@@ -180,7 +180,7 @@ impl<'m> Calibration<'m> {
                 && !(all.all(|own| rigid(&own)) && scene.plane_compliance().iter().all(rigid))
             {
                 let what =
-                    "gives way, so that restitution counts for nothing; fit stiffness in its place";
+                    "has compliant contact, in which restitution counts for nothing; fit stiffness in its place";
                 return Err(CalibrateError::Scene { scene: scene.name().to_owned(), what });
             }
             Ok(given.applied(scene).map(drop)?)
@@ -317,7 +317,7 @@ fn check(settings: &Settings) -> Result<(), CalibrateError> {
             ![RESTITUTION, STIFFNESS].iter().all(|name| has(name)),
             "fit",
             format!("{RESTITUTION} and {STIFFNESS}"),
-            "one of the two: restitution counts for nothing where contact gives way",
+            "one of the two: restitution counts for nothing where contact is compliant",
         ),
         ((1..=100).contains(step), "step", step.to_string(), "from 1 to 100"),
         (

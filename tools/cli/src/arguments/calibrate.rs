@@ -22,14 +22,14 @@ What counts is a scene's mean position error in per cent of the units' size, plu
 
 Numbers, by group:
   friction      of a unit with the roughest plane, the product of both coefficients
-  stiffness     of a unit's contact points against what is rigid, N/m, and what they lose, s/m: contact that gives way
+  stiffness     of a unit's contact points against what is rigid, N/m, and what they lose, s/m: compliant contact
   restitution   as friction; in place of stiffness, for contact that is rigid
-  gravity       a factor, by which a record's lengths are too long
+  gravity       by that in the file; below 1 where a record's lengths are too short
   height        of the table above where the file has it: the plane that faces gravity most
   tilt          of the table, along x and along y
   inertia       a factor of all moments of inertia
 They are the same for all scenes, units and planes. Without --fit all are fitted but restitution, which counts for nothing where
-contact gives way.
+contact is compliant.
 
 Scenes are fitted to that are of the split train, and the split test is only measured. A file without such scenes gives all, or the
 N of --train, and the others are the test. Of several starts the one counts that does best on the validation scenes.

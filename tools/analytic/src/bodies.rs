@@ -63,6 +63,18 @@ impl Hull {
         Some(Hull { shape: SharedShape::compound(placed), pieces, radius_m })
     }
 
+    /// A ball where a unit's points are all as far out, and so many that no facets can be meant; else the hull.
+    pub(crate) fn or_ball(self, unit: &RecordedUnit) -> Hull {
+        const POINTS: usize = 120;
+        let radius_m = self.radius_m;
+        let is_round = |point: &Point3<f32>| point.coords.norm() > 0.999 * radius_m;
+        if unit.points.len() < POINTS || !unit.points.iter().all(is_round) {
+            return self;
+        }
+        let shape = SharedShape::ball(radius_m);
+        Hull { pieces: vec![shape.clone()], shape, radius_m }
+    }
+
     /// How deep this hull is in another one: the least distance that separates them, 0 if they do not overlap.
     pub(crate) fn depth_m(
         &self,
@@ -101,8 +113,11 @@ pub(crate) fn mass_properties(
     inertia: Inertia,
 ) -> MassProperties {
     let mass_kg = unit.physics.mass_kg;
-    match inertia {
-        Inertia::Hull => {
+    match (inertia, unit.inertia) {
+        (Inertia::File, Some([x, y, z])) => {
+            MassProperties::new(Vector::ZERO, mass_kg, Vector::new(x, y, z))
+        }
+        (Inertia::Hull, _) | (Inertia::File, None) => {
             let mut properties = hull.shape.mass_properties(1.0);
             properties.set_mass(mass_kg, true);
             // Records turn units about the origin of the body frame, which so is the centre of
@@ -110,7 +125,7 @@ pub(crate) fn mass_properties(
             properties.local_com = Vector::ZERO;
             properties
         }
-        Inertia::Box => {
+        (Inertia::Box, _) => {
             let extent = |axis: usize| {
                 let (low, high) = unit
                     .points

@@ -65,7 +65,7 @@ pub(crate) fn run(arguments: &Rest) -> anyhow::Result<()> {
 
     let frames = arguments.frames;
     // The record's engine has the inertia of boxes, so units come to rest as recorded.
-    let settings = Settings { sub_steps: 10, inertia: Inertia::Box };
+    let settings = Settings { sub_steps: 10, inertia: Inertia::Box, balls: false };
     let by_scene = each_scene(&scenes, |scene| {
         let mut found = Found::default();
         let resting = resting_units(scene)?;

@@ -47,7 +47,11 @@ impl Hull {
 
     /// Of a unit: a compound of its pieces, if it has any. Flat pieces are left out.
     pub(crate) fn of(unit: &RecordedUnit) -> Option<Hull> {
-        let hull = Hull::new(&unit.points)?;
+        let mut hull = Hull::new(&unit.points)?;
+        if is_ball(&unit.points) {
+            hull.shape = SharedShape::ball(hull.radius_m);
+            hull.pieces = vec![hull.shape.clone()];
+        }
         if unit.pieces.is_empty() {
             return Some(hull);
         }
@@ -89,6 +93,14 @@ impl Hull {
     }
 }
 
+/// Whether points about their centre are all as far out, and so many that no sphere's facets can be meant.
+fn is_ball(points: &[Point3<f32>]) -> bool {
+    const POINTS: usize = 120;
+    let reach = |most: f32, point: &Point3<f32>| most.max(point.coords.norm());
+    let radius = points.iter().fold(0.0, reach);
+    points.len() >= POINTS && points.iter().all(|point| point.coords.norm() > 0.999 * radius)
+}
+
 /// Height of a unit's lowest point, metres.
 pub(crate) fn lowest_m(points: &[Point3<f32>], pose: &Isometry3<f32>) -> f64 {
     f64::from(points.iter().map(|point| (pose * point).z).fold(f32::INFINITY, f32::min))
@@ -101,8 +113,12 @@ pub(crate) fn mass_properties(
     inertia: Inertia,
 ) -> MassProperties {
     let mass_kg = unit.physics.mass_kg;
-    match inertia {
-        Inertia::Hull => {
+    match (inertia, unit.inertia) {
+        // Moments that the scene gives are those of the body.
+        (Inertia::Hull, Some([x, y, z])) => {
+            MassProperties::new(Vector::ZERO, mass_kg, Vector::new(x, y, z))
+        }
+        (Inertia::Hull, None) => {
             let mut properties = hull.shape.mass_properties(1.0);
             properties.set_mass(mass_kg, true);
             // Records turn units about the origin of the body frame, which so is the centre of
@@ -110,7 +126,7 @@ pub(crate) fn mass_properties(
             properties.local_com = Vector::ZERO;
             properties
         }
-        Inertia::Box => {
+        (Inertia::Box, _) => {
             let extent = |axis: usize| {
                 let (low, high) = unit
                     .points

@@ -19,7 +19,8 @@ import numpy as np
 from .impacts import _gjk, _support
 
 PARTS_HZ = 144.0  # a part of a step is at most so many parts of a second
-MOST_PARTS = 16
+MOST_PARTS = 32
+WAY = 1 / 32  # of a part at most, in radii of the smaller of two units that may meet
 SWEEPS = 40  # over all contacts in a step, of all parts together
 LEAST_SWEEPS = 6  # of a part
 SETTLING = 2  # sweeps after those, from what does not move upwards, each lower unit held
@@ -27,7 +28,7 @@ BOUNCING = 4  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
 SLACK = 0.0002  # of an overlap that they leave, in radii of the smaller one
-SHARE = 0.5  # of an overlap that a push takes away
+SHARE = 0.5  # of an overlap that a push takes away; more parts push less each
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
 BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
@@ -78,7 +79,7 @@ Contacts = namedtuple(
 
 
 def parts(dt: float) -> int:
-    """Parts that a step is taken in."""
+    """Parts that a step is taken in, at least."""
     return min(max(1, math.ceil(dt * PARTS_HZ - 0.01)), MOST_PARTS)
 
 
@@ -142,6 +143,33 @@ def _distance(w, i, a, ri, ci, j, b, rj, cj, v, p, q):
     """As `impacts._gjk`, to rounding: of two pieces, balls as their middles, from direction v on; 0: they overlap."""
     a, b = w.piece[w.first[i] + a], w.piece[w.first[j] + b]
     return _gjk(w.bank, a[0], a[1], w.scale[i], ri, ci, b[0], b[1], w.scale[j], rj, cj, v, p, q, TOLERANCE)
+
+
+@numba.njit(cache=True, nogil=True)
+def _wanted(w, s, arms, bound, radius, dt, parts):
+    """Parts that a step is taken in, so that none takes what may meet nearer by more than WAY; radius: of what moves, parts: at
+    least."""
+    units, most = len(w.free), 0.0
+    whirl = np.zeros(units)
+    for i in range(units):
+        whirl[i] = _length(s.spin[i]) * (radius[i] if bound[i] else w.radius[i] - w.round[i])
+    for i in range(units):
+        if w.lead[i] != i:
+            continue
+        centre = s.centre[i] - arms[i]
+        for plane in range(len(w.planes)):
+            n = w.planes[plane, :3]
+            way = (whirl[i] - np.dot(n, s.velocity[i])) * dt
+            if w.free[i] and np.dot(n, centre) - w.planes[plane, 3] - radius[i] < way:
+                most = max(most, way / radius[i])
+        for j in range(i + 1, units):
+            if w.lead[j] == j and (w.free[i] or w.free[j]) and w.group[i] != w.group[j]:
+                way = (_length(s.velocity[i] - s.velocity[j]) + whirl[i] + whirl[j]) * dt
+                if _length(s.centre[j] - arms[j] - centre) - radius[i] - radius[j] < way:
+                    most = max(most, way / min(radius[i], radius[j]))
+    while parts < MOST_PARTS and parts * WAY < most:
+        parts += 1
+    return parts
 
 
 @numba.njit(cache=True, nogil=True)
@@ -644,7 +672,7 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
 
 
 @numba.njit(cache=True, nogil=True)
-def _push_apart(w, s, light, inverse, c, count, touched):
+def _push_apart(w, s, light, inverse, c, count, share, touched):
     """Moves what overlaps, from what does not move on, and marks it as touched; velocities stay."""
     ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
     for _ in range(PUSHES):
@@ -665,7 +693,7 @@ def _push_apart(w, s, light, inverse, c, count, touched):
                 soft += _yield(light[i], inverse[i], c.arm_i[k], n)
             if soft <= 0:
                 continue
-            push = n * (depth * SHARE / soft)
+            push = n * (depth * share / soft)
             if moves_j:
                 ways[j] += push * light[j]
                 turns[j] += inverse[j] @ _cross(c.arm_j[k], push)
@@ -777,14 +805,14 @@ def _speed(radius, s, unit):
 
 @numba.njit(cache=True, nogil=True)
 def advance(w, s, dt, parts, c, old):
-    """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
+    """Advances a scene by dt seconds in equal parts, at least so many, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
     Clusters come with the mean motion of their units, by mass, and end with each unit's own.
 
     Returns the most contacts of a part, and those of the last one; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
     changed of a unit's motion, less where that is slow in the end; 0 where nothing touches it; -1 where it rests."""
-    units, h = len(w.free), dt / parts
+    units = len(w.free)
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
     rotation, centre = s.rotation.copy(), s.centre.copy()
     speed, rest = np.zeros(units), np.zeros(units)
@@ -801,6 +829,8 @@ def advance(w, s, dt, parts, c, old):
         slow = REST * drop * dt
         rest[lead] = max(rest[lead], slow + min(slow, ROUNDING * np.abs(s.centre[unit]).max() / dt))
     count = most = 0
+    least, parts = parts, _wanted(w, s, arms, bound, radius, dt, parts)
+    h = dt / parts
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
     there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres
     for part in range(parts):
@@ -867,7 +897,7 @@ def advance(w, s, dt, parts, c, old):
         if bounces:
             for turn in range(BOUNCING):
                 _sweep(w, s, light, inverse, c, count, h, turn, False, True)
-        _push_apart(w, s, light, inverse, c, count, touched)
+        _push_apart(w, s, light, inverse, c, count, SHARE * least / parts, touched)
     share = np.zeros(units)
     arms, bound = _arms(w, s)
     radius = _radii(w, arms, bound)

@@ -16,8 +16,6 @@ const SETTLING: u8 = 2;
 const BOUNCING: u8 = 4;
 /// Sweeps of a substep that push overlaps apart: the next substep goes on from there.
 const PUSHES: u8 = 1;
-/// Share of an overlap that a push takes away. All at once would throw stacks that several contacts hold.
-const SHARE: f32 = 0.5;
 /// A contact this close to one of the substep before goes on from its impulse, in radii: it is the same one, moved.
 const SAME_CONTACT: f32 = 0.1;
 /// Cosine of 45 degrees, within which its normal must be. At an inner corner two pieces push two ways at one place.
@@ -428,7 +426,7 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
             if soft <= 0.0 {
                 continue;
             }
-            let push = normal * (depth * SHARE / soft);
+            let push = normal * (depth * world.pushes / soft);
             if moves_to {
                 to.apply_impulse(&other, &push);
                 bodies.shifts(contact.to, &to);

@@ -296,3 +296,21 @@ fn no_energy_comes_from_a_corner() {
         assert!(most < bound, "{code} {restitution}: {most}");
     }
 }
+
+/// A box that spins on its face is braked at its corners: by friction, gravity and their arm.
+#[test]
+fn a_box_that_spins_on_its_face_is_braked() {
+    for code in CODES {
+        for friction in [0.1, 0.3] {
+            let mut world = World::new(code / 240.0);
+            world.add(&a_cube(), at(0.0, 0.0, SIZE)).physics.friction = friction;
+            world.throw(0, Vector3::zeros(), Vector3::new(0.0, 0.0, 6.0));
+            let mut spins = vec![];
+            for _ in 0..(0.4 / world.dt) as usize {
+                world.go();
+                spins.push(world.motion(0)[1].z);
+            }
+            println!("spin, friction {friction}, code {code}: {:?}", spins);
+        }
+    }
+}

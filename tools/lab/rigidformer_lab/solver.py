@@ -21,9 +21,9 @@ from .impacts import _gjk, _support
 PARTS_HZ = 144.0  # a part of a step is at most so many parts of a second
 MOST_PARTS = 32
 WAY = 1 / 32  # of a part at most, in radii of the smaller of two units that may meet
-SWEEPS = 40  # over all contacts in a step, of all parts together
-LEAST_SWEEPS = 6  # of a part
-SETTLING = 2  # sweeps after those, from what does not move upwards, each lower unit held
+SWEEPS = 38  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 4  # of a part
+SETTLING = 4  # sweeps after those, from what does not move upwards, each lower unit held
 BOUNCING = 4  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
@@ -72,9 +72,10 @@ Motion = namedtuple("Motion", "rotation centre velocity spin")
 #: the centres of the units, or of their clusters; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
 #: (N, 3, 3): normal from i to j and tangents; weight (N, 3): impulse for a change of velocity along them, kg; held: the
 #: unit that is nearer to what does not move, 0: i, 1: j, -1: neither; stiff: weight along the normal with that unit held,
-#: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s.
+#: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s;
+#: twist (N, 3), of the middle of a patch what brakes a spin about the normal: mean arm of the corners m, impulse at that arm N s, weight kg.
 Contacts = namedtuple(
-    "Contacts", "i j piece middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
+    "Contacts", "i j piece middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order twist"
 )
 
 
@@ -97,7 +98,7 @@ def _room(units):
     one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
     return Contacts(
         whole(), whole(), whole(), np.zeros(n, np.bool_), three(), three(), one(), one(), one(), one(), one(), three(), np.zeros((n, 3, 3)), three(),
-        whole(), one(), one(), whole(),
+        whole(), one(), one(), whole(), three(),
     )  # fmt: skip
 
 
@@ -392,6 +393,11 @@ def _add(c, count, points, gaps, chosen, found, n):
         c.axes[count, 0], c.axes[count, 1], c.axes[count, 2] = n, u, v
         c.impulse[count] = 0.0
         c.middle[count] = k == 0 and found > 3
+        c.twist[count] = 0.0
+        if c.middle[count]:
+            for corner in range(1, found):
+                arm = points[chosen[corner]] - points[chosen[0]]
+                c.twist[count, 0] += _length(arm - n * np.dot(arm, n)) / (found - 1)
         count += 1
     return count
 
@@ -599,6 +605,17 @@ def _kick(w, s, light, inverse, c, k, x, y, z, hold_i, hold_j):
 
 
 @numba.njit(cache=True, nogil=True)
+def _spin(w, s, light, inverse, c, k, impulse, hold_i, hold_j):
+    """Adds what an impulse at the arm of a twist changes of spins."""
+    i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+    turn = c.axes[k, 0] * (impulse * c.twist[k, 0])
+    if light[j] > 0 and not hold_j:
+        s.spin[j] += inverse[j] @ turn
+    if i != PLANE and light[i] > 0 and not hold_i:
+        s.spin[i] -= inverse[i] @ turn
+
+
+@numba.njit(cache=True, nogil=True)
 def _prepare(w, s, light, inverse, c, count, old, old_count):
     """Weights and approaches; contacts that were there in the part before begin with their impulses."""
     for k in range(count):
@@ -614,6 +631,12 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
                 moves = own if c.held[k] == 0 else other
                 if c.held[k] >= 0 and moves > 0:
                     c.stiff[k] = (own + other) / moves
+        if c.middle[k]:
+            arm, n = c.twist[k, 0], c.axes[k, 0]
+            soft = np.dot(n, inverse[j] @ n) if light[j] > 0 else 0.0
+            if i != PLANE and light[i] > 0:
+                soft += np.dot(n, inverse[i] @ n)
+            c.twist[k, 2] = 1.0 / (arm * arm * soft) if arm * arm * soft > 0 else 0.0
         c.approach[k] = np.dot(_relative(w, s, c, k), c.axes[k, 0])
     first = 0  # both lists have their pairs in one order
     for k in range(count):
@@ -631,9 +654,13 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
             old.held[which] = 1  # taken
             c.impulse[k, 0] = old.impulse[which, 0]
             rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
+            rub = rub + old.axes[which, 0] * old.twist[which, 1]
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
             whole = c.impulse[k] @ c.axes[k]
             _kick(w, s, light, inverse, c, k, whole[0], whole[1], whole[2], False, False)
+            if c.middle[k]:
+                c.twist[k, 1] = np.dot(rub, c.axes[k, 0])
+                _spin(w, s, light, inverse, c, k, c.twist[k, 1], False, False)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -663,10 +690,16 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         seen, u, v = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2]
         a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
         b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
-        most, size = c.friction[k] * along, np.sqrt(a * a + b * b)
+        i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+        whirl = np.dot(s.spin[j] - s.spin[i], n) if i != PLANE else np.dot(s.spin[j], n)
+        twist = c.twist[k, 1] - whirl * c.twist[k, 0] * c.twist[k, 2]
+        most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
         if size > most:
-            a, b = a * (most / size), b * (most / size)
+            a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
         f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
+        if c.middle[k]:
+            _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
+            c.twist[k, 1] = twist
         _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
 
@@ -838,6 +871,7 @@ def advance(w, s, dt, parts, c, old):
         for k in range(count):
             old.i[k], old.j[k], old.piece[k], old.arm_j[k] = c.i[k], c.j[k], c.piece[k], c.arm_j[k]
             old.impulse[k], old.axes[k], old.held[k] = c.impulse[k], c.axes[k], 0
+            old.twist[k] = c.twist[k]
         arms, bound = _arms(w, s)
         for unit in range(units):
             if w.lead[unit] != unit:

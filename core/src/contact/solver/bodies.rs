@@ -500,6 +500,17 @@ impl Mover {
         self.lightness + dot(&lever, &self.turns(&lever)).max(0.0)
     }
 
+    /// Spin along a direction that a unit angular impulse about it gives, 1 / (kg m^2).
+    pub(super) fn turn_along(&self, along: &Vector3<f32>) -> f32 {
+        dot(along, &self.turns(along)).max(0.0)
+    }
+
+    /// Adds what an angular impulse (N m s) changes of the spin.
+    #[inline]
+    pub(super) fn twist(&mut self, impulse: &Vector3<f32>) {
+        self.spin += self.turns(impulse);
+    }
+
     /// Metres a second that no point of the unit is faster than.
     pub(super) fn speed(&self, radius: f32) -> f32 {
         norm(&self.velocity) + norm(&self.spin) * radius

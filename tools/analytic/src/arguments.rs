@@ -58,6 +58,9 @@ pub(crate) struct Rapier {
     /// Where a unit's moments of inertia come from
     #[arg(long, value_enum, default_value_t = Inertia::Hull)]
     pub(crate) inertia: Inertia,
+    /// Units of at least 120 points on a sphere are balls, not hulls
+    #[arg(long)]
+    pub(crate) balls: bool,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,
@@ -70,6 +73,8 @@ pub(crate) enum Inertia {
     Hull,
     /// The box around its points, evenly filled, as in Bullet
     Box,
+    /// What the scene file gives, else the hull's
+    File,
 }
 
 #[derive(Args)]

@@ -47,11 +47,7 @@ impl Hull {
 
     /// Of a unit: a compound of its pieces, if it has any. Flat pieces are left out.
     pub(crate) fn of(unit: &RecordedUnit) -> Option<Hull> {
-        let mut hull = Hull::new(&unit.points)?;
-        if is_ball(&unit.points) {
-            hull.shape = SharedShape::ball(hull.radius_m);
-            hull.pieces = vec![hull.shape.clone()];
-        }
+        let hull = Hull::new(&unit.points)?;
         if unit.pieces.is_empty() {
             return Some(hull);
         }
@@ -65,6 +61,18 @@ impl Hull {
         }
         let placed = pieces.iter().map(|piece| (Pose::IDENTITY, piece.clone())).collect();
         Some(Hull { shape: SharedShape::compound(placed), pieces, radius_m })
+    }
+
+    /// A ball where a unit's points are all as far out, and so many that no facets can be meant; else the hull.
+    pub(crate) fn or_ball(self, unit: &RecordedUnit) -> Hull {
+        const POINTS: usize = 120;
+        let radius_m = self.radius_m;
+        let is_round = |point: &Point3<f32>| point.coords.norm() > 0.999 * radius_m;
+        if unit.points.len() < POINTS || !unit.points.iter().all(is_round) {
+            return self;
+        }
+        let shape = SharedShape::ball(radius_m);
+        Hull { pieces: vec![shape.clone()], shape, radius_m }
     }
 
     /// How deep this hull is in another one: the least distance that separates them, 0 if they do not overlap.
@@ -93,14 +101,6 @@ impl Hull {
     }
 }
 
-/// Whether points about their centre are all as far out, and so many that no sphere's facets can be meant.
-fn is_ball(points: &[Point3<f32>]) -> bool {
-    const POINTS: usize = 120;
-    let reach = |most: f32, point: &Point3<f32>| most.max(point.coords.norm());
-    let radius = points.iter().fold(0.0, reach);
-    points.len() >= POINTS && points.iter().all(|point| point.coords.norm() > 0.999 * radius)
-}
-
 /// Height of a unit's lowest point, metres.
 pub(crate) fn lowest_m(points: &[Point3<f32>], pose: &Isometry3<f32>) -> f64 {
     f64::from(points.iter().map(|point| (pose * point).z).fold(f32::INFINITY, f32::min))
@@ -114,11 +114,10 @@ pub(crate) fn mass_properties(
 ) -> MassProperties {
     let mass_kg = unit.physics.mass_kg;
     match (inertia, unit.inertia) {
-        // Moments that the scene gives are those of the body.
-        (Inertia::Hull, Some([x, y, z])) => {
+        (Inertia::File, Some([x, y, z])) => {
             MassProperties::new(Vector::ZERO, mass_kg, Vector::new(x, y, z))
         }
-        (Inertia::Hull, None) => {
+        (Inertia::Hull, _) | (Inertia::File, None) => {
             let mut properties = hull.shape.mass_properties(1.0);
             properties.set_mass(mass_kg, true);
             // Records turn units about the origin of the body frame, which so is the centre of

@@ -15,7 +15,11 @@ type Errors = [FrameErrors; FRAMES.len()];
 pub(crate) fn run(arguments: &Rapier) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let scenes = load_scenes(&dataset, &arguments.scenes, Some(LAST_FRAME as usize + 1))?;
-    let settings = Settings { sub_steps: arguments.sub_steps, inertia: arguments.inertia };
+    let settings = Settings {
+        sub_steps: arguments.sub_steps,
+        inertia: arguments.inertia,
+        balls: arguments.balls,
+    };
     let mut by_step = Vec::new();
     for step in &arguments.steps {
         by_step.push((*step, errors(&scenes, *step, settings)?));

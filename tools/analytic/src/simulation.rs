@@ -27,6 +27,8 @@ pub(crate) struct Settings {
     /// Time steps of the engine per recorded frame.
     pub(crate) sub_steps: u32,
     pub(crate) inertia: Inertia,
+    /// Whether what is round is a ball.
+    pub(crate) balls: bool,
 }
 
 /// Simulates a scene from its frames 0 and `step` on until `last_frame` is reached or passed. Samples are `every` frames
@@ -78,7 +80,11 @@ pub(crate) fn simulate(
     let ground = material(slab, ground.friction, ground.restitution).translation(below);
     world.insert_collider(ground, None);
 
-    let hulls = Hull::of_scene(scene)?;
+    let mut hulls = Hull::of_scene(scene)?;
+    if settings.balls {
+        let units = scene.units().iter();
+        hulls = hulls.into_iter().zip(units).map(|(hull, unit)| hull.or_ball(unit)).collect();
+    }
     let observed = before.iter().zip(&now);
     let bodies: Vec<RigidBodyHandle> = scene
         .units()
@@ -153,7 +159,7 @@ mod tests {
 
     use crate::bodies::tests::cube;
 
-    const SETTINGS: Settings = Settings { sub_steps: 10, inertia: Inertia::Hull };
+    const SETTINGS: Settings = Settings { sub_steps: 10, inertia: Inertia::Hull, balls: false };
 
     /// Points spread evenly over a sphere.
     fn sphere(radius_m: f32) -> Vec<Point3<f32>> {

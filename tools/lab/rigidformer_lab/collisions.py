@@ -315,7 +315,7 @@ def in_programs(file: Path, program: str | None, rapier: str | None) -> dict[str
         for step in told["model"]["steps"]:
             found[f"impulses, s = {step['step']}"] = _at_last_frame(step["figures"]["frames"])
     if rapier:
-        told = _json([rapier, "rapier", str(file), "--split", "test", "--steps", "1", "--json"])
+        told = _json([rapier, "rapier", str(file), "--steps", "1", "--inertia", "file", "--balls", "--json"])
         found["Rapier"] = _at_last_frame(told["rapier"]["steps"][0]["frames"])
     return found
 

@@ -654,12 +654,11 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
             old.held[which] = 1  # taken
             c.impulse[k, 0] = old.impulse[which, 0]
             rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
-            rub = rub + old.axes[which, 0] * old.twist[which, 1]
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
             whole = c.impulse[k] @ c.axes[k]
             _kick(w, s, light, inverse, c, k, whole[0], whole[1], whole[2], False, False)
             if c.middle[k]:
-                c.twist[k, 1] = np.dot(rub, c.axes[k, 0])
+                c.twist[k, 1] = old.twist[which, 1]
                 _spin(w, s, light, inverse, c, k, c.twist[k, 1], False, False)
 
 
@@ -685,21 +684,27 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         more = along - c.impulse[k, 0]
         _kick(w, s, light, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
-        if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0:
+        if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0 and c.twist[k, 1] == 0:
             continue
-        seen, u, v = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2]
+        seen, u, v, twist = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2], 0.0
+        if c.middle[k]:
+            i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+            whirl = np.dot(s.spin[j] - s.spin[i], n) if i != PLANE else np.dot(s.spin[j], n)
+            twist = c.twist[k, 1] - whirl * c.twist[k, 0] * c.twist[k, 2]
+            brake = n * ((twist - c.twist[k, 1]) * c.twist[k, 0])  # as if it acted alone
+            if light[j] > 0 and not hold_j:
+                seen = seen + _cross(inverse[j] @ brake, c.arm_j[k])
+            if i != PLANE and light[i] > 0 and not hold_i:
+                seen = seen + _cross(inverse[i] @ brake, c.arm_i[k])
         a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
         b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
-        i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
-        whirl = np.dot(s.spin[j] - s.spin[i], n) if i != PLANE else np.dot(s.spin[j], n)
-        twist = c.twist[k, 1] - whirl * c.twist[k, 0] * c.twist[k, 2]
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
         if size > most:
             a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
-        f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
         if c.middle[k]:
             _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
             c.twist[k, 1] = twist
+        f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
         _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
 

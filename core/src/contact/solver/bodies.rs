@@ -165,9 +165,9 @@ impl<'s> World<'s> {
         while substeps < MOST_SUBSTEPS && f32::from(substeps) * WAY < way {
             substeps += 1;
         }
-        let count = f32::from(substeps);
-        let pushes = PUSHED * f32::from(least) / count;
-        World { substeps, substep_s: scene.dt / count, pushes, ..self }.finer()
+        let substep_s = scene.dt / f32::from(substeps);
+        let finer = World { substeps, substep_s, ..self }.finer();
+        World { pushes: PUSHED * f32::from(least) / f32::from(finer.substeps), ..finer }
     }
 
     /// In as many substeps as the springs of contact want.
@@ -509,6 +509,12 @@ impl Mover {
     #[inline]
     pub(super) fn twist(&mut self, impulse: &Vector3<f32>) {
         self.spin += self.turns(impulse);
+    }
+
+    /// What an angular impulse (N m s) changes of the velocity at an arm, m/s.
+    #[inline]
+    pub(super) fn turned_at(&self, impulse: &Vector3<f32>, arm: &Vector3<f32>) -> Vector3<f32> {
+        self.turns(impulse).cross(arm)
     }
 
     /// Metres a second that no point of the unit is faster than.

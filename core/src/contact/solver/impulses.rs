@@ -72,8 +72,11 @@ pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
         if let Some([along, ..]) = olds.get_mut(number) {
             *along = 0.0;
         }
-        let axes @ [n, t, b] = contact.axes();
-        let [twist, across, aside] = axes.map(|axis| dot(&old.rub, &axis));
+        let [n, t, b] = contact.axes();
+        // Along the old normal is the impulse of its twist.
+        let twist = dot(&old.rub, &old.normal);
+        let rub = old.rub - old.normal * twist;
+        let [across, aside] = [dot(&rub, &t), dot(&rub, &b)];
         contact.impulse = [old.along, across, aside];
         Contact::write_impulse(&contact.impulse, row);
         let impulse = (n * old.along + t * across) + b * aside;
@@ -203,7 +206,9 @@ enum Goal {
 /// Takes the approaches that gaps do not allow, and lets friction act.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
-    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS);
+    // What has a spring takes no part in settling.
+    let more = if world.gives_way() { SETTLING } else { 0 };
+    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
     for turn in 0..sweeps {
         // To and fro: an order of contacts would favour what comes last.
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
@@ -303,21 +308,26 @@ fn positive(number: f32) -> f32 {
 fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f32; CONTACT]) {
     let ([n, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
     let ([own, other], [_, heavy_across, heavy_aside]) = (&contact.arms, contact.weight);
-    let sliding = to.speed_at(other) - from.speed_at(own);
+    let [arm, twist, heavy] = contact.twist().unwrap_or_default();
+    let mut r = twist - dot(&(to.spin - from.spin), &n) * arm * heavy;
+    let mut sliding = to.speed_at(other) - from.speed_at(own);
+    if contact.is_middle {
+        // As if the spin were braked: all three at once may overshoot.
+        let turn = n * ((r - twist) * arm);
+        sliding += to.turned_at(&turn, other) + from.turned_at(&turn, own);
+    }
     let p = across - dot(&sliding, &t) * heavy_across;
     let q = aside - dot(&sliding, &b) * heavy_aside;
-    let [arm, twist, heavy_twist] = contact.twist().unwrap_or_default();
-    let whirl = dot(&(to.spin - from.spin), &n) * arm;
-    let r = twist - whirl * heavy_twist;
     // Coulomb's cone, round: all directions share one limit, and so does a twist at its arm.
     let (most, size) = (contact.friction * along, math::sqrt((p * p + q * q) + r * r));
     let share = if size > most { most / size } else { 1.0 };
-    let [p, q, r] = [p * share, q * share, r * share];
+    let [p, q] = [p * share, q * share];
     let push = t * (p - across) + b * (q - aside);
     to.apply_impulse(other, &push);
     from.apply_impulse(own, &opposite(&push));
     Contact::write_impulse(&[along, p, q], row);
     if contact.is_middle {
+        r *= share;
         let turn = n * ((r - twist) * arm);
         to.twist(&turn);
         from.twist(&opposite(&turn));

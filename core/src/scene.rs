@@ -283,6 +283,9 @@ pub struct UnitSlot {
     /// One more than the contacts of a unit that the last step left as it was to the bit, with all that it can touch; 0 of others.
     #[cfg(rigidformer_host)]
     pub(crate) still: u16,
+    /// The solver's substeps of that step: in others it may not stay.
+    #[cfg(rigidformer_host)]
+    pub(crate) still_substeps: u8,
 }
 
 /// What the network is told of a point of a soft unit besides.
@@ -359,6 +362,8 @@ impl UnitSlot {
             target: nowhere,
             #[cfg(rigidformer_host)]
             still: 0,
+            #[cfg(rigidformer_host)]
+            still_substeps: 0,
         }
     };
 
@@ -427,6 +432,12 @@ impl UnitSlot {
         #[cfg(not(feature = "robot"))]
         let hangs = false;
         !hangs && self.cluster_root().is_none()
+    }
+
+    /// Whether a step of so many of the solver's substeps leaves it as it is.
+    #[cfg(rigidformer_host)]
+    pub(crate) fn is_still_in(&self, substeps: u8) -> bool {
+        self.still > 0 && self.still_substeps == substeps
     }
 
     /// Whether the model moves it.

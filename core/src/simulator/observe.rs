@@ -413,6 +413,8 @@ impl Simulator<'_, '_> {
             target: current,
             #[cfg(rigidformer_host)]
             still: 0,
+            #[cfg(rigidformer_host)]
+            still_substeps: 0,
         };
         placed.set_physics(unit.physics, &measure);
         *slot = placed;

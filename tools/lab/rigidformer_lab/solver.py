@@ -19,15 +19,16 @@ import numpy as np
 from .impacts import _gjk, _support
 
 PARTS_HZ = 144.0  # a part of a step is at most so many parts of a second
-MOST_PARTS = 16
-SWEEPS = 40  # over all contacts in a step, of all parts together
-LEAST_SWEEPS = 6  # of a part
-SETTLING = 2  # sweeps after those, from what does not move upwards, each lower unit held
+MOST_PARTS = 32
+WAY = 1 / 32  # of a part at most, in radii of the smaller of two units that may meet
+SWEEPS = 38  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 4  # of a part
+SETTLING = 4  # sweeps after those, from what does not move upwards, each lower unit held
 BOUNCING = 4  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
 SLACK = 0.0002  # of an overlap that they leave, in radii of the smaller one
-SHARE = 0.5  # of an overlap that a push takes away
+SHARE = 0.5  # of an overlap that a push takes away; more parts push less each
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
 BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
@@ -71,14 +72,15 @@ Motion = namedtuple("Motion", "rotation centre velocity spin")
 #: the centres of the units, or of their clusters; gap and skin, the gap that they keep, m; impulse along the normal and two tangents (N, 3) N s; axes
 #: (N, 3, 3): normal from i to j and tangents; weight (N, 3): impulse for a change of velocity along them, kg; held: the
 #: unit that is nearer to what does not move, 0: i, 1: j, -1: neither; stiff: weight along the normal with that unit held,
-#: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s.
+#: in weights; approach m/s before all impulses, negative where they close in; bounces: approaches below this bounce, m/s;
+#: twist (N, 3), of the middle of a patch what brakes a spin about the normal: mean arm of the corners m, impulse at that arm N s, weight kg.
 Contacts = namedtuple(
-    "Contacts", "i j piece middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order"
+    "Contacts", "i j piece middle arm_i arm_j gap skin friction restitution bounces impulse axes weight held stiff approach order twist"
 )
 
 
 def parts(dt: float) -> int:
-    """Parts that a step is taken in."""
+    """Parts that a step is taken in, at least."""
     return min(max(1, math.ceil(dt * PARTS_HZ - 0.01)), MOST_PARTS)
 
 
@@ -96,7 +98,7 @@ def _room(units):
     one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
     return Contacts(
         whole(), whole(), whole(), np.zeros(n, np.bool_), three(), three(), one(), one(), one(), one(), one(), three(), np.zeros((n, 3, 3)), three(),
-        whole(), one(), one(), whole(),
+        whole(), one(), one(), whole(), three(),
     )  # fmt: skip
 
 
@@ -142,6 +144,33 @@ def _distance(w, i, a, ri, ci, j, b, rj, cj, v, p, q):
     """As `impacts._gjk`, to rounding: of two pieces, balls as their middles, from direction v on; 0: they overlap."""
     a, b = w.piece[w.first[i] + a], w.piece[w.first[j] + b]
     return _gjk(w.bank, a[0], a[1], w.scale[i], ri, ci, b[0], b[1], w.scale[j], rj, cj, v, p, q, TOLERANCE)
+
+
+@numba.njit(cache=True, nogil=True)
+def _wanted(w, s, arms, bound, radius, dt, parts):
+    """Parts that a step is taken in, so that none takes what may meet nearer by more than WAY; radius: of what moves, parts: at
+    least."""
+    units, most = len(w.free), 0.0
+    whirl = np.zeros(units)
+    for i in range(units):
+        whirl[i] = _length(s.spin[i]) * (radius[i] if bound[i] else w.radius[i] - w.round[i])
+    for i in range(units):
+        if w.lead[i] != i:
+            continue
+        centre = s.centre[i] - arms[i]
+        for plane in range(len(w.planes)):
+            n = w.planes[plane, :3]
+            way = (whirl[i] - np.dot(n, s.velocity[i])) * dt
+            if w.free[i] and np.dot(n, centre) - w.planes[plane, 3] - radius[i] < way:
+                most = max(most, way / radius[i])
+        for j in range(i + 1, units):
+            if w.lead[j] == j and (w.free[i] or w.free[j]) and w.group[i] != w.group[j]:
+                way = (_length(s.velocity[i] - s.velocity[j]) + whirl[i] + whirl[j]) * dt
+                if _length(s.centre[j] - arms[j] - centre) - radius[i] - radius[j] < way:
+                    most = max(most, way / min(radius[i], radius[j]))
+    while parts < MOST_PARTS and parts * WAY < most:
+        parts += 1
+    return parts
 
 
 @numba.njit(cache=True, nogil=True)
@@ -364,6 +393,11 @@ def _add(c, count, points, gaps, chosen, found, n):
         c.axes[count, 0], c.axes[count, 1], c.axes[count, 2] = n, u, v
         c.impulse[count] = 0.0
         c.middle[count] = k == 0 and found > 3
+        c.twist[count] = 0.0
+        if c.middle[count]:
+            for corner in range(1, found):
+                arm = points[chosen[corner]] - points[chosen[0]]
+                c.twist[count, 0] += _length(arm - n * np.dot(arm, n)) / (found - 1)
         count += 1
     return count
 
@@ -571,6 +605,17 @@ def _kick(w, s, light, inverse, c, k, x, y, z, hold_i, hold_j):
 
 
 @numba.njit(cache=True, nogil=True)
+def _spin(w, s, light, inverse, c, k, impulse, hold_i, hold_j):
+    """Adds what an impulse at the arm of a twist changes of spins."""
+    i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+    turn = c.axes[k, 0] * (impulse * c.twist[k, 0])
+    if light[j] > 0 and not hold_j:
+        s.spin[j] += inverse[j] @ turn
+    if i != PLANE and light[i] > 0 and not hold_i:
+        s.spin[i] -= inverse[i] @ turn
+
+
+@numba.njit(cache=True, nogil=True)
 def _prepare(w, s, light, inverse, c, count, old, old_count):
     """Weights and approaches; contacts that were there in the part before begin with their impulses."""
     for k in range(count):
@@ -586,6 +631,12 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
                 moves = own if c.held[k] == 0 else other
                 if c.held[k] >= 0 and moves > 0:
                     c.stiff[k] = (own + other) / moves
+        if c.middle[k]:
+            arm, n = c.twist[k, 0], c.axes[k, 0]
+            soft = np.dot(n, inverse[j] @ n) if light[j] > 0 else 0.0
+            if i != PLANE and light[i] > 0:
+                soft += np.dot(n, inverse[i] @ n)
+            c.twist[k, 2] = 1.0 / (arm * arm * soft) if arm * arm * soft > 0 else 0.0
         c.approach[k] = np.dot(_relative(w, s, c, k), c.axes[k, 0])
     first = 0  # both lists have their pairs in one order
     for k in range(count):
@@ -606,6 +657,9 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
             whole = c.impulse[k] @ c.axes[k]
             _kick(w, s, light, inverse, c, k, whole[0], whole[1], whole[2], False, False)
+            if c.middle[k]:
+                c.twist[k, 1] = old.twist[which, 1]
+                _spin(w, s, light, inverse, c, k, c.twist[k, 1], False, False)
 
 
 @numba.njit(cache=True, nogil=True)
@@ -630,21 +684,33 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         more = along - c.impulse[k, 0]
         _kick(w, s, light, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
-        if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0:
+        if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0 and c.twist[k, 1] == 0:
             continue
-        seen, u, v = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2]
+        seen, u, v, twist = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2], 0.0
+        if c.middle[k]:
+            i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+            whirl = np.dot(s.spin[j] - s.spin[i], n) if i != PLANE else np.dot(s.spin[j], n)
+            twist = c.twist[k, 1] - whirl * c.twist[k, 0] * c.twist[k, 2]
+            brake = n * ((twist - c.twist[k, 1]) * c.twist[k, 0])  # as if it acted alone
+            if light[j] > 0 and not hold_j:
+                seen = seen + _cross(inverse[j] @ brake, c.arm_j[k])
+            if i != PLANE and light[i] > 0 and not hold_i:
+                seen = seen + _cross(inverse[i] @ brake, c.arm_i[k])
         a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
         b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
-        most, size = c.friction[k] * along, np.sqrt(a * a + b * b)
+        most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
         if size > most:
-            a, b = a * (most / size), b * (most / size)
+            a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
+        if c.middle[k]:
+            _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
+            c.twist[k, 1] = twist
         f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
         _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
 
 
 @numba.njit(cache=True, nogil=True)
-def _push_apart(w, s, light, inverse, c, count, touched):
+def _push_apart(w, s, light, inverse, c, count, share, touched):
     """Moves what overlaps, from what does not move on, and marks it as touched; velocities stay."""
     ways, turns = np.zeros_like(s.centre), np.zeros_like(s.centre)
     for _ in range(PUSHES):
@@ -665,7 +731,7 @@ def _push_apart(w, s, light, inverse, c, count, touched):
                 soft += _yield(light[i], inverse[i], c.arm_i[k], n)
             if soft <= 0:
                 continue
-            push = n * (depth * SHARE / soft)
+            push = n * (depth * share / soft)
             if moves_j:
                 ways[j] += push * light[j]
                 turns[j] += inverse[j] @ _cross(c.arm_j[k], push)
@@ -777,14 +843,14 @@ def _speed(radius, s, unit):
 
 @numba.njit(cache=True, nogil=True)
 def advance(w, s, dt, parts, c, old):
-    """Advances a scene by dt seconds in equal parts, in place. c and old: room for contacts, from `room`. Units that are
+    """Advances a scene by dt seconds in equal parts, at least so many, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
     Clusters come with the mean motion of their units, by mass, and end with each unit's own.
 
     Returns the most contacts of a part, and those of the last one; touched (M) bool: what an impulse or a push has moved; share (M) m/s: what contact
     changed of a unit's motion, less where that is slow in the end; 0 where nothing touches it; -1 where it rests."""
-    units, h = len(w.free), dt / parts
+    units = len(w.free)
     inverse, level = np.zeros((units, 3, 3)), np.zeros(units, np.int64)
     rotation, centre = s.rotation.copy(), s.centre.copy()
     speed, rest = np.zeros(units), np.zeros(units)
@@ -801,6 +867,8 @@ def advance(w, s, dt, parts, c, old):
         slow = REST * drop * dt
         rest[lead] = max(rest[lead], slow + min(slow, ROUNDING * np.abs(s.centre[unit]).max() / dt))
     count = most = 0
+    least, parts = parts, _wanted(w, s, arms, bound, radius, dt, parts)
+    h = dt / parts
     sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
     there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres
     for part in range(parts):
@@ -808,6 +876,7 @@ def advance(w, s, dt, parts, c, old):
         for k in range(count):
             old.i[k], old.j[k], old.piece[k], old.arm_j[k] = c.i[k], c.j[k], c.piece[k], c.arm_j[k]
             old.impulse[k], old.axes[k], old.held[k] = c.impulse[k], c.axes[k], 0
+            old.twist[k] = c.twist[k]
         arms, bound = _arms(w, s)
         for unit in range(units):
             if w.lead[unit] != unit:
@@ -867,7 +936,7 @@ def advance(w, s, dt, parts, c, old):
         if bounces:
             for turn in range(BOUNCING):
                 _sweep(w, s, light, inverse, c, count, h, turn, False, True)
-        _push_apart(w, s, light, inverse, c, count, touched)
+        _push_apart(w, s, light, inverse, c, count, SHARE * least / parts, touched)
     share = np.zeros(units)
     arms, bound = _arms(w, s)
     radius = _radii(w, arms, bound)

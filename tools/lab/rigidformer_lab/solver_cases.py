@@ -162,7 +162,7 @@ def ends_from(seed, w, given):
         shaken = [v + rng.normal(size=v.shape) * 1e-7 * np.maximum(1.0, np.abs(v)) for v in start]
         for end, code in zip(ends, STEPS):
             away = np.abs(step(w, *shaken, code) - end)
-            if away[:, :3].max() > 2e-5 or away[:, 3:6].max() > 2e-4:
+            if away[:, :3].max() > 2e-5 or away[:, 3:6].max() > 2e-4 or away[:, 6].max() * code / 240 > 2e-5:
                 return None
     return given, [np.round(end, 7) for end in ends]
 

@@ -1,5 +1,6 @@
 //! The world that the solver works in, and units as it moves them.
 
+use super::MOST_SUBSTEPS;
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -28,6 +29,12 @@ const HELD: f32 = 0.1;
 const REST: f32 = 0.02;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
+/// Ways of a substep, at most, in radii of the smaller of two units that may meet: what is faster is taken in more substeps. Where
+/// contacts are and when they bounce is known to a substep.
+const WAY: f32 = 1.0 / 32.0;
+/// Share of an overlap that a substep pushes away. All at once would throw stacks that several contacts hold. More substeps push less
+/// each.
+const PUSHED: f32 = 0.5;
 /// Radians of a contact's spring in a substep: more would cost it energy.
 #[cfg(feature = "compliance")]
 const PHASE: f32 = 0.25;
@@ -92,6 +99,8 @@ pub(super) struct World<'s> {
     pub(super) substeps: u8,
     /// Seconds of one.
     pub(super) substep_s: f32,
+    /// Share of an overlap that is pushed away in one.
+    pub(super) pushes: f32,
     /// Whether any contact gives way.
     #[cfg(feature = "compliance")]
     gives_way: bool,
@@ -143,10 +152,22 @@ impl<'s> World<'s> {
             gravity_size,
             substeps,
             substep_s,
+            pushes: PUSHED,
             #[cfg(feature = "compliance")]
             gives_way: false,
         }
-        .finer()
+    }
+
+    /// In as many substeps as fast approaches want; `way` is how far the fastest takes a unit in the step, in radii.
+    fn paced(self, way: f32) -> Self {
+        let World { substeps: least, scene, .. } = self;
+        let mut substeps = least;
+        while substeps < MOST_SUBSTEPS && f32::from(substeps) * WAY < way {
+            substeps += 1;
+        }
+        let substep_s = scene.dt / f32::from(substeps);
+        let finer = World { substeps, substep_s, ..self }.finer();
+        World { pushes: PUSHED * f32::from(least) / f32::from(finer.substeps), ..finer }
     }
 
     /// In as many substeps as the springs of contact want.
@@ -479,6 +500,23 @@ impl Mover {
         self.lightness + dot(&lever, &self.turns(&lever)).max(0.0)
     }
 
+    /// Spin along a direction that a unit angular impulse about it gives, 1 / (kg m^2).
+    pub(super) fn turn_along(&self, along: &Vector3<f32>) -> f32 {
+        dot(along, &self.turns(along)).max(0.0)
+    }
+
+    /// Adds what an angular impulse (N m s) changes of the spin.
+    #[inline]
+    pub(super) fn twist(&mut self, impulse: &Vector3<f32>) {
+        self.spin += self.turns(impulse);
+    }
+
+    /// What an angular impulse (N m s) changes of the velocity at an arm, m/s.
+    #[inline]
+    pub(super) fn turned_at(&self, impulse: &Vector3<f32>, arm: &Vector3<f32>) -> Vector3<f32> {
+        self.turns(impulse).cross(arm)
+    }
+
     /// Metres a second that no point of the unit is faster than.
     pub(super) fn speed(&self, radius: f32) -> f32 {
         norm(&self.velocity) + norm(&self.spin) * radius
@@ -809,6 +847,50 @@ impl<'r> Bodies<'r> {
         }
     }
 
+    /// The world of a step whose units have begun, in as many substeps as their approaches want. What cannot meet in the step does
+    /// not count.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn paced<'s>(&self, world: &World<'s>) -> World<'s> {
+        let dt = world.scene.dt;
+        let mut most = 0.0_f32;
+        let mut approach = |speed: f32, room: f32, radius: f32| {
+            let way = speed * dt;
+            if room < way && way > most * radius {
+                most = way / radius;
+            }
+        };
+        for (number, unit) in world.moved() {
+            let (mover, (centre, radius, own)) =
+                (self.mover(number), self.ball(world, number, unit));
+            for plane in world.planes().iter().filter(|_| unit.is_free()) {
+                let closing = own - dot(&plane.normal, &mover.velocity);
+                approach(closing, plane.height_here(&centre) - radius, radius);
+            }
+            for (to, other) in world.moved().filter(|(to, _)| *to > number) {
+                let moves = unit.is_free() || other.is_free();
+                if !moves || (unit.body != 0 && unit.body == other.body) {
+                    continue;
+                }
+                let (there, far, whirl) = self.ball(world, to, other);
+                let closing = norm(&(mover.velocity - self.mover(to).velocity)) + (own + whirl);
+                let room = (norm(&(there - centre)) - radius) - far;
+                approach(closing, room, radius.min(far));
+            }
+        }
+        world.paced(most)
+    }
+
+    /// The ball around what moves with a unit, as the step begins: its centre and radius, and how fast surfaces turn there. A ball's own
+    /// stays where it is.
+    fn ball(&self, world: &World<'_>, number: usize, unit: &UnitSlot) -> (Vector3<f32>, f32, f32) {
+        let spin = norm(&self.mover(number).spin);
+        if unit.cluster_root().is_some() {
+            let Cluster { centre, radius, .. } = self.cluster(world, number);
+            return (centre, radius, spin * radius);
+        }
+        (unit.current.centre, unit.radius, spin * (unit.radius - world.round(unit)))
+    }
+
     /// Begins a substep: inertia as the units now lie, and gravity.
     #[cfg_attr(rigidformer_dsp, inline(never))]
     pub(super) fn begin_substep(&mut self, world: &World<'_>) {
@@ -881,7 +963,7 @@ impl<'r> Bodies<'r> {
             let is_high = world.planes().iter().all(|plane| plane.height_here(&centre) > reach);
             let state = match unit.role {
                 Role::Fixed => FIXED,
-                Role::Free if may_rest && all_alone && unit.still > 0 => STAYS,
+                Role::Free if may_rest && all_alone && unit.is_still_in(world.substeps) => STAYS,
                 Role::Free if may_rest && unit.is_alone() && is_high => FLIES,
                 _ => AWAKE,
             };
@@ -914,6 +996,14 @@ impl<'r> Bodies<'r> {
                 *now += 1.0;
                 *most = most.max(*now);
             }
+        }
+    }
+
+    /// Keeps how many substeps the step has had, for [`mark_still`].
+    #[cfg(rigidformer_host)]
+    pub(super) fn end(&mut self, substeps: u8) {
+        for [.., now, _] in self.ranges.iter_mut() {
+            *now = substeps.into();
         }
     }
 
@@ -1156,9 +1246,10 @@ pub(super) fn mark_still(
     for ((unit, rests), range) in units.iter_mut().zip(rests).zip(ranges.iter_mut()) {
         let stays = unit.still > 0 && rests && all_alone && unit.is_free();
         if !is_still(range) {
-            let [.., most] = *range;
+            let [.., substeps, most] = *range;
             // Fewer than there are units, times a few.
             unit.still = (most as u16).saturating_add(1);
+            unit.still_substeps = substeps as u8;
         }
         let [.., state, _, _] = range;
         *state = match unit.role {

@@ -71,7 +71,8 @@ pub(super) struct Contact {
     /// changes of the impulse of its spring and damper, kg.
     pub(super) rebound: f32,
     pub(super) normal: Vector3<f32>,
-    /// The first tangent.
+    /// The first tangent; of the middle of a patch what brakes a spin about the normal: the mean arm of the corners (m), the impulse at that
+    /// arm (N s), and its weight (kg).
     pub(super) tangent: Vector3<f32>,
     /// Impulse for a change of velocity along the normal and both tangents, kg.
     pub(super) weight: [f32; 3],
@@ -189,7 +190,21 @@ impl Contact {
 
     #[inline]
     pub(super) fn axes(&self) -> [Vector3<f32>; 3] {
-        [self.normal, self.tangent, self.normal.cross(&self.tangent)]
+        let tangent = if self.is_middle { tangent(&self.normal) } else { self.tangent };
+        [self.normal, tangent, self.normal.cross(&tangent)]
+    }
+
+    /// What brakes a spin about the normal of a patch, at its middle: arm (m), impulse at that arm (N s) and its weight (kg).
+    #[inline]
+    pub(super) fn twist(&self) -> Option<[f32; 3]> {
+        self.is_middle.then(|| self.tangent.into())
+    }
+
+    /// Keeps the impulse of the twist of a middle.
+    #[inline]
+    pub(super) fn write_twist(impulse: f32, row: &mut [f32; CONTACT]) {
+        let [.., twist, _, _, _, _, _] = row;
+        *twist = impulse;
     }
 
     /// Pairs come in this order.
@@ -229,15 +244,16 @@ pub(super) struct Old {
     pub(super) arm: Vector3<f32>,
     /// Along the normal, N s; 0: the contact has none, or another one went on from it.
     pub(super) along: f32,
-    /// Across it, N s.
+    /// Across it, and along it that of a twist, N s.
     pub(super) rub: Vector3<f32>,
     pub(super) normal: Vector3<f32>,
 }
 
 impl Old {
     fn new(contact: &Contact) -> Self {
-        let ([_, t, b], [along, across, aside]) = (contact.axes(), contact.impulse);
-        let rub = t * across + b * aside;
+        let ([n, t, b], [along, across, aside]) = (contact.axes(), contact.impulse);
+        let [_, twist, _] = contact.twist().unwrap_or_default();
+        let rub = (t * across + b * aside) + n * twist;
         let [_, arm] = contact.arms;
         let (pair, piece, normal) = (contact.pair(), contact.piece, contact.normal);
         Old { pair, piece, arm, along, rub, normal }
@@ -670,14 +686,18 @@ impl<'r> Contacts<'r> {
                 friction: pair.friction,
                 rebound: if approach < -pair.bounces { -pair.restitution * approach } else { 0.0 },
                 normal: pair.normal,
-                tangent,
+                tangent: if patch.has_middle && number == 0 { Vector3::zeros() } else { tangent },
                 weight: [0.0; 3],
                 stiffness: 1.0,
             };
             contact.weight = contact.axes().map(|axis| {
-                let soft = to.inverse_mass_at(&other, &axis) + from.inverse_mass_at(&own, &axis);
-                if soft > 0.0 { 1.0 / soft } else { 0.0 }
+                weight(to.inverse_mass_at(&other, &axis) + from.inverse_mass_at(&own, &axis))
             });
+            if contact.is_middle {
+                let arm = patch.mean_arm(&pair.normal);
+                let soft = to.turn_along(&pair.normal) + from.turn_along(&pair.normal);
+                contact.tangent = Vector3::new(arm, 0.0, weight(arm * arm * soft));
+            }
             if let Some(spring) = &spring {
                 contact.give_way(spring, world.substep_s);
             }
@@ -861,6 +881,11 @@ fn gap_rounding(world: &World<'_>, bodies: &Bodies<'_>, pair: &Pair) -> f32 {
         radius = radius.min(world.units.get(number).map_or(0.0, |unit| unit.radius));
     }
     world.gap_rounding(most, radius)
+}
+
+/// The weight of what gives so much way, kg; 0 of what nothing moves.
+fn weight(soft: f32) -> f32 {
+    if soft > 0.0 { 1.0 / soft } else { 0.0 }
 }
 
 /// A unit vector across another one.

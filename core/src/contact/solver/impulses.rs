@@ -7,17 +7,15 @@ use crate::math;
 use nalgebra::Vector3;
 
 /// Sweeps over all contacts in a step, of all substeps together: a bound on time.
-const SWEEPS: u8 = 40;
+const SWEEPS: u8 = 38;
 /// Sweeps of a substep, at least: with fewer, impulses do not get through a stack.
-const LEAST_SWEEPS: u8 = 6;
+const LEAST_SWEEPS: u8 = 4;
 /// Sweeps after those, upwards from what does not move, each lower unit held: they carry what sweeps to and fro leave.
-const SETTLING: u8 = 2;
+const SETTLING: u8 = 4;
 /// Sweeps in which contacts bounce: a bounce passes through as many units.
 const BOUNCING: u8 = 4;
 /// Sweeps of a substep that push overlaps apart: the next substep goes on from there.
 const PUSHES: u8 = 1;
-/// Share of an overlap that a push takes away. All at once would throw stacks that several contacts hold.
-const SHARE: f32 = 0.5;
 /// A contact this close to one of the substep before goes on from its impulse, in radii: it is the same one, moved.
 const SAME_CONTACT: f32 = 0.1;
 /// Cosine of 45 degrees, within which its normal must be. At an inner corner two pieces push two ways at one place.
@@ -74,8 +72,11 @@ pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
         if let Some([along, ..]) = olds.get_mut(number) {
             *along = 0.0;
         }
-        let axes @ [n, t, b] = contact.axes();
-        let [_, across, aside] = axes.map(|axis| dot(&old.rub, &axis));
+        let [n, t, b] = contact.axes();
+        // Along the old normal is the impulse of its twist.
+        let twist = dot(&old.rub, &old.normal);
+        let rub = old.rub - old.normal * twist;
+        let [across, aside] = [dot(&rub, &t), dot(&rub, &b)];
         contact.impulse = [old.along, across, aside];
         Contact::write_impulse(&contact.impulse, row);
         let impulse = (n * old.along + t * across) + b * aside;
@@ -83,6 +84,12 @@ pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
         let [own, other] = &contact.arms;
         to.apply_impulse(other, &impulse);
         from.apply_impulse(own, &opposite(&impulse));
+        if let Some([arm, ..]) = contact.twist() {
+            Contact::write_twist(twist, row);
+            let whirl = n * (twist * arm);
+            to.twist(&whirl);
+            from.twist(&opposite(&whirl));
+        }
         keep(bodies, &contact, &[from, to]);
     }
 }
@@ -199,7 +206,9 @@ enum Goal {
 /// Takes the approaches that gaps do not allow, and lets friction act.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
-    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS);
+    // What has a spring takes no part in settling.
+    let more = if world.gives_way() { SETTLING } else { 0 };
+    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
     for turn in 0..sweeps {
         // To and fro: an order of contacts would favour what comes last.
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
@@ -293,17 +302,37 @@ fn positive(number: f32) -> f32 {
     if number > 0.0 { number } else { 0.0 }
 }
 
-/// Impulses across the normal that stop sliding (m/s), within what friction allows.
+/// Lets friction act within what `along` allows: against sliding, and at the middle of a patch against a spin about the normal too. The
+/// first unit is [`Mover::STILL`] for a plane.
 #[inline]
-fn friction_impulses(contact: &Contact, along: f32, sliding: &Vector3<f32>) -> [f32; 2] {
-    let ([_, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
-    let [_, heavy_across, heavy_aside] = contact.weight;
-    let p = across - dot(sliding, &t) * heavy_across;
-    let q = aside - dot(sliding, &b) * heavy_aside;
-    // Coulomb's cone, round: both directions share one limit.
-    let (most, size) = (contact.friction * along, math::sqrt(p * p + q * q));
+fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f32; CONTACT]) {
+    let ([n, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
+    let ([own, other], [_, heavy_across, heavy_aside]) = (&contact.arms, contact.weight);
+    let [arm, twist, heavy] = contact.twist().unwrap_or_default();
+    let mut r = twist - dot(&(to.spin - from.spin), &n) * arm * heavy;
+    let mut sliding = to.speed_at(other) - from.speed_at(own);
+    if contact.is_middle {
+        // As if the spin were braked: all three at once may overshoot.
+        let turn = n * ((r - twist) * arm);
+        sliding += to.turned_at(&turn, other) + from.turned_at(&turn, own);
+    }
+    let p = across - dot(&sliding, &t) * heavy_across;
+    let q = aside - dot(&sliding, &b) * heavy_aside;
+    // Coulomb's cone, round: all directions share one limit, and so does a twist at its arm.
+    let (most, size) = (contact.friction * along, math::sqrt((p * p + q * q) + r * r));
     let share = if size > most { most / size } else { 1.0 };
-    [p * share, q * share]
+    let [p, q] = [p * share, q * share];
+    let push = t * (p - across) + b * (q - aside);
+    to.apply_impulse(other, &push);
+    from.apply_impulse(own, &opposite(&push));
+    Contact::write_impulse(&[along, p, q], row);
+    if contact.is_middle {
+        r *= share;
+        let turn = n * ((r - twist) * arm);
+        to.twist(&turn);
+        from.twist(&opposite(&turn));
+        Contact::write_twist(r, row);
+    }
 }
 
 /// What takes the approach of two units, and friction within its cone. Whether there is any.
@@ -324,7 +353,7 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) 
     let Some(along) = normal_impulse(&contact, &leaving, heavy, aim) else { return false };
     // Most contacts end above: the rest is read for those that do not.
     let contact = Contact::read(row);
-    let (n, [before, across, aside]) = (contact.normal, contact.impulse);
+    let (n, [before, ..]) = (contact.normal, contact.impulse);
     let Some(mut from) = bodies.find(number) else { return false };
     let Some(mut to) = bodies.find(contact.to) else { return false };
     if goal == Goal::Settle {
@@ -337,13 +366,7 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) 
     let push = n * (along - before);
     to.apply_impulse(other, &push);
     from.apply_impulse(own, &opposite(&push));
-    let sliding = to.speed_at(other) - from.speed_at(own);
-    let [p, q] = friction_impulses(&contact, along, &sliding);
-    let [_, t, b] = contact.axes();
-    let rub = t * (p - across) + b * (q - aside);
-    to.apply_impulse(other, &rub);
-    from.apply_impulse(own, &opposite(&rub));
-    Contact::write_impulse(&[along, p, q], row);
+    rub(&contact, along, [&mut from, &mut to], row);
     bodies.moves(number, &from);
     bodies.moves(contact.to, &to);
     true
@@ -363,13 +386,10 @@ fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goa
     let leaving = bodies.speed_at(contact.to, arm);
     let Some(along) = normal_impulse(&contact, &leaving, heavy, aim) else { return false };
     let contact = Contact::read(row);
-    let (n, [before, across, aside]) = (contact.normal, contact.impulse);
+    let (n, [before, ..]) = (contact.normal, contact.impulse);
     let Some(mut to) = bodies.find(contact.to) else { return false };
     to.apply_impulse(arm, &(n * (along - before)));
-    let [p, q] = friction_impulses(&contact, along, &to.speed_at(arm));
-    let [_, t, b] = contact.axes();
-    to.apply_impulse(arm, &(t * (p - across) + b * (q - aside)));
-    Contact::write_impulse(&[along, p, q], row);
+    rub(&contact, along, [&mut { Mover::STILL }, &mut to], row);
     bodies.moves(contact.to, &to);
     true
 }
@@ -428,7 +448,7 @@ pub(super) fn push_apart(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
             if soft <= 0.0 {
                 continue;
             }
-            let push = normal * (depth * SHARE / soft);
+            let push = normal * (depth * world.pushes / soft);
             if moves_to {
                 to.apply_impulse(&other, &push);
                 bodies.shifts(contact.to, &to);

@@ -38,7 +38,7 @@ const _: () = assert!(SCRATCH <= 465, "every unit of every copy pays for the sol
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
 /// Substeps of a step, at most: a bound on its time.
-const MOST_SUBSTEPS: u8 = 16;
+const MOST_SUBSTEPS: u8 = 32;
 /// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
 /// Greater turns of a step are cut, radians: from half a turn on, the way there is shorter the other way round.
@@ -110,6 +110,7 @@ fn in_substeps<S: Schedule>(
     may_rest: bool,
 ) -> bool {
     bodies.begin(world);
+    let world = &bodies.paced(world);
     #[cfg(rigidformer_host)]
     let left_out = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
@@ -153,6 +154,8 @@ fn in_substeps<S: Schedule>(
         }
         impulses::push_apart(world, bodies, contacts);
     }
+    #[cfg(rigidformer_host)]
+    bodies.end(world.substeps);
     true
 }
 

@@ -35,6 +35,19 @@ pub(super) struct Patch {
     pub(super) has_middle: bool,
 }
 
+impl Patch {
+    /// How far the others are from the first point in the mean, across the normal, metres.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn mean_arm(&self, normal: &Vector3<f32>) -> f32 {
+        let Some(((middle, _), corners)) = self.points.split_first() else { return 0.0 };
+        let arms = corners.iter().map(|(corner, _)| {
+            let arm = corner - middle;
+            norm(&(arm - normal * dot(&arm, normal)))
+        });
+        arms.fold(0.0, |sum, arm| sum + arm) / corners.len().max(1) as f32
+    }
+}
+
 /// Of points that may touch, at most four, and their middle first where they are more than two: the deepest one, the
 /// farthest from it across the normal, and the farthest from both to either side. A point that is higher counts as less
 /// far: else the bevel of a face would be chosen for the face. The middle carries a weight without turning the unit, so

@@ -52,18 +52,18 @@ fn slope(degrees: f32) -> (Plane, Vector3<f32>, Matrix3<f32>) {
     (plane, Vector3::new(cosine, 0.0, -sine), turned(&Matrix3::identity(), &turn))
 }
 
-/// The codes 1.5 to 2.5 are left out: there the stack leans by 1 % of a side a second, and falls. With 250 sweeps a substep it
-/// stands there too: the 20 or 40 that there are do not converge.
+/// Sweeps do not converge in so high a stack: it leans until it rests.
 #[test]
 fn ten_boxes_stand_for_a_minute() {
-    for code in CODES {
+    for code in [1.0, 1.5, 2.0, 2.5, 5.0, 10.0] {
         let mut world = World::new(code / 240.0);
         for k in 0..10 {
             world.add(&a_cube(), at(0.0, 0.0, SIZE * (1 + 2 * k) as f32));
         }
         let moved = most_aside(&mut world, 59) / (2.0 * SIZE);
         println!("ten boxes, 60 s, code {code}: {:.2} % of a side aside", 100.0 * moved);
-        assert!(moved < 0.02, "{code}: {moved}");
+        let most = if CODES.contains(&code) { 0.02 } else { 0.05 };
+        assert!(moved < most, "{code}: {moved}");
         let bits = world.bits();
         go_for(&mut world, 1.0);
         assert!(world.bits() == bits, "{code}: all rest in the last second");
@@ -294,5 +294,32 @@ fn no_energy_comes_from_a_corner() {
         println!("corner, restitution {restitution}, code {code}: grows by {:.2} %", 100.0 * most);
         let bound = if restitution < 1.0 { 0.01 } else { 0.05 };
         assert!(most < bound, "{code} {restitution}: {most}");
+    }
+}
+
+/// A box that spins on its face is braked by friction at the mean arm of its corners. It turns as if its spin were braked evenly.
+#[test]
+fn a_box_that_spins_on_its_face_is_braked() {
+    for code in CODES {
+        for friction in [0.1, 0.3] {
+            let mut world = World::new(code / 240.0);
+            world.add(&a_cube(), at(0.0, 0.0, SIZE)).physics.friction = friction;
+            world.throw(0, Vector3::zeros(), Vector3::new(0.0, 0.0, 6.0));
+            // Torque by inertia: the arm is SIZE times the root of 2.
+            let slows = friction * GRAVITY * 2.0_f32.sqrt() * SIZE / (2.0 / 3.0 * SIZE * SIZE);
+            let stops = 6.0 / slows;
+            let mut worst = 0.0_f32;
+            for step in 1..=(0.5 / world.dt) as usize {
+                world.go();
+                let due = (6.0 - slows * step as f32 * world.dt).max(0.0);
+                let spin = world.motion(0)[1].z;
+                worst = worst.max((spin - due).abs() / 6.0);
+            }
+            println!("spin, friction {friction}, code {code}: {:.2} % off", 100.0 * worst);
+            assert!(worst < 0.005, "{code} {friction}: {worst}, stops at {stops} s");
+            let bits = world.bits();
+            world.go();
+            assert!(world.bits() == bits, "{code}: rests");
+        }
     }
 }

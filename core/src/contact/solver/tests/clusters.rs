@@ -133,30 +133,35 @@ fn clusters_are_what_bonds_connect() {
     assert_eq!(bodies, [7, 7, 7, 1, 2, 3]);
 }
 
-/// A cube of cells is one cube: it falls, bounces and comes to lie where the cube of one unit does.
+/// A cube of cells is one cube: it falls, bounces and comes to lie where the cube of one unit does. Their impulses act in other orders,
+/// so throws part by more or less: their mean is what counts.
 #[test]
 fn cells_of_a_box_move_as_the_box() {
     for dt in [1.0 / 240.0, 1.0 / 60.0, 5.0 / 240.0, 10.0 / 240.0] {
-        let (half, pose) = ([0.2, 0.15, 0.1], at(0.1, 0.2, 0.6));
-        let mut alone = World::new(dt);
-        alone.add(&cuboid(half[0], half[1], half[2]), pose);
-        let mut cells = World::new(dt);
-        cells.add_cells(half, pose);
-        let began = cells.poses();
-        let velocity = Vector3::new(0.3, 0.1, -0.5);
-        alone.throw(0, velocity, Vector3::zeros());
-        cells.throw_all(0..8, velocity, Vector3::zeros());
-        let mut worst = 0.0_f32;
-        for _ in 0..(1.0 / dt).round() as usize {
-            alone.step();
-            cells.step();
-            let (centre, ..) = cells.momentum(0..8);
-            worst = worst.max(norm(&(centre.cast::<f32>() - alone.slots[0].current.centre)));
+        let (mut state, mut sum) = (5, 0.0);
+        for _ in 0..16 {
+            let (half, pose) = ([0.2, 0.15, 0.1], at(0.1, 0.2, 0.6));
+            let mut alone = World::new(dt);
+            alone.add(&cuboid(half[0], half[1], half[2]), pose);
+            let mut cells = World::new(dt);
+            cells.add_cells(half, pose);
+            let began = cells.poses();
+            let velocity = random_vector(&mut state) * 0.5;
+            alone.throw(0, velocity, Vector3::zeros());
+            cells.throw_all(0..8, velocity, Vector3::zeros());
+            let mut worst = 0.0_f32;
+            for _ in 0..(1.0 / dt).round() as usize {
+                alone.step();
+                cells.step();
+                let (centre, ..) = cells.momentum(0..8);
+                worst = worst.max(norm(&(centre.cast::<f32>() - alone.slots[0].current.centre)));
+            }
+            let (away, turn) = cells.looseness(0..8, &began);
+            assert!(away < 1e-5 && turn < 1e-5, "{dt}: {away} {turn}");
+            sum += worst / 16.0;
         }
-        let (away, turn) = cells.looseness(0..8, &began);
-        std::println!("{dt}: {worst} m from the box, {away} m and {turn} rad from each other");
-        assert!(worst < 6e-3, "{dt}: {worst}");
-        assert!(away < 1e-5 && turn < 1e-5, "{dt}: {away} {turn}");
+        std::println!("{dt}: {sum} m from the box");
+        assert!(sum < 7e-3, "{dt}: {sum}");
     }
 }
 

@@ -1,6 +1,6 @@
 //! The world that the solver works in, and units as it moves them.
 
-use super::MOST_SUBSTEPS;
+use super::TICKS;
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -29,9 +29,6 @@ const HELD: f32 = 0.1;
 const REST: f32 = 0.02;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
-/// Ways of a substep, at most, in radii of the smaller of two units that may meet: what is faster is taken in more substeps. Where
-/// contacts are and when they bounce is known to a substep.
-const WAY: f32 = 1.0 / 32.0;
 /// Share of an overlap that a substep pushes away. All at once would throw stacks that several contacts hold. More substeps push less
 /// each.
 const PUSHED: f32 = 0.5;
@@ -92,12 +89,14 @@ const BALL_SLACK: f32 = 1e-4;
 pub(super) struct World<'s> {
     /// Those of the copy.
     pub(super) units: &'s [UnitSlot],
-    scene: &'s Scene<'s>,
+    pub(super) scene: &'s Scene<'s>,
     /// Gravity without its direction, m/s^2.
     gravity_size: f32,
     /// Substeps of the step.
     pub(super) substeps: u8,
-    /// Seconds of one.
+    /// Of the one at hand.
+    pub(super) ticks: u16,
+    /// Its seconds.
     pub(super) substep_s: f32,
     /// Share of an overlap that is pushed away in one.
     pub(super) pushes: f32,
@@ -151,23 +150,26 @@ impl<'s> World<'s> {
             scene,
             gravity_size,
             substeps,
+            ticks: TICKS,
             substep_s,
             pushes: PUSHED,
             #[cfg(feature = "compliance")]
             gives_way: false,
         }
+        .finer()
     }
 
-    /// In as many substeps as fast approaches want; `way` is how far the fastest takes a unit in the step, in radii.
-    fn paced(self, way: f32) -> Self {
-        let World { substeps: least, scene, .. } = self;
-        let mut substeps = least;
-        while substeps < MOST_SUBSTEPS && f32::from(substeps) * WAY < way {
-            substeps += 1;
-        }
-        let substep_s = scene.dt / f32::from(substeps);
-        let finer = World { substeps, substep_s, ..self }.finer();
-        World { pushes: PUSHED * f32::from(least) / f32::from(finer.substeps), ..finer }
+    /// The world of a substep of so many [`TICKS`].
+    pub(super) fn part(&self, ticks: u16) -> Self {
+        let Self { scene, substeps, .. } = *self;
+        let substep_s = f32::from(ticks) * (scene.dt / f32::from(TICKS * u16::from(substeps)));
+        let pushes = self.pushes * (f32::from(ticks) / f32::from(TICKS));
+        Self { substep_s, ticks, pushes, ..*self }
+    }
+
+    /// Of so many sweeps those of the substep at hand.
+    pub(super) fn share_of(&self, sweeps: u8) -> u8 {
+        (u16::from(sweeps) * self.ticks / TICKS) as u8
     }
 
     /// In as many substeps as the springs of contact want.
@@ -194,7 +196,8 @@ impl<'s> World<'s> {
             substeps += 1;
         }
         let substep_s = scene.dt / f32::from(substeps);
-        World { substeps, substep_s, gives_way: true, ..self }
+        let pushes = PUSHED * f32::from(self.substeps) / f32::from(substeps);
+        World { substeps, substep_s, pushes, gives_way: true, ..self }
     }
 
     /// As they are.
@@ -847,48 +850,17 @@ impl<'r> Bodies<'r> {
         }
     }
 
-    /// The world of a step whose units have begun, in as many substeps as their approaches want. What cannot meet in the step does
-    /// not count.
+    /// Takes back what gravity has added for more than a substep that is cut.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn paced<'s>(&self, world: &World<'s>) -> World<'s> {
-        let dt = world.scene.dt;
-        let mut most = 0.0_f32;
-        let mut approach = |speed: f32, room: f32, radius: f32| {
-            let way = speed * dt;
-            if room < way && way > most * radius {
-                most = way / radius;
-            }
-        };
+    pub(super) fn shorten(&mut self, world: &World<'_>, by_s: f32) {
+        let more = world.scene.gravity * by_s;
         for (number, unit) in world.moved() {
-            let (mover, (centre, radius, own)) =
-                (self.mover(number), self.ball(world, number, unit));
-            for plane in world.planes().iter().filter(|_| unit.is_free()) {
-                let closing = own - dot(&plane.normal, &mover.velocity);
-                approach(closing, plane.height_here(&centre) - radius, radius);
-            }
-            for (to, other) in world.moved().filter(|(to, _)| *to > number) {
-                let moves = unit.is_free() || other.is_free();
-                if !moves || (unit.body != 0 && unit.body == other.body) {
-                    continue;
-                }
-                let (there, far, whirl) = self.ball(world, to, other);
-                let closing = norm(&(mover.velocity - self.mover(to).velocity)) + (own + whirl);
-                let room = (norm(&(there - centre)) - radius) - far;
-                approach(closing, room, radius.min(far));
+            if unit.is_free() && !self.is_left_out(number) {
+                let mut mover = self.mover(number);
+                mover.velocity -= more;
+                self.moves(number, &mover);
             }
         }
-        world.paced(most)
-    }
-
-    /// The ball around what moves with a unit, as the step begins: its centre and radius, and how fast surfaces turn there. A ball's own
-    /// stays where it is.
-    fn ball(&self, world: &World<'_>, number: usize, unit: &UnitSlot) -> (Vector3<f32>, f32, f32) {
-        let spin = norm(&self.mover(number).spin);
-        if unit.cluster_root().is_some() {
-            let Cluster { centre, radius, .. } = self.cluster(world, number);
-            return (centre, radius, spin * radius);
-        }
-        (unit.current.centre, unit.radius, spin * (unit.radius - world.round(unit)))
     }
 
     /// Begins a substep: inertia as the units now lie, and gravity.
@@ -1011,6 +983,12 @@ impl<'r> Bodies<'r> {
     #[cfg(rigidformer_host)]
     pub(super) fn is_still(&self, unit: usize) -> bool {
         self.ranges.get(unit).is_some_and(is_still)
+    }
+
+    /// Whether units are left out because they stay as they are.
+    #[cfg(rigidformer_host)]
+    pub(super) fn leaves_still(&self) -> bool {
+        self.ranges.iter().any(is_still)
     }
 
     /// Whether two units may come so close in the substep that they touch.

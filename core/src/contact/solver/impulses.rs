@@ -22,6 +22,8 @@ const SAME_CONTACT: f32 = 0.1;
 const SAME_WAY: f32 = 0.7;
 /// Gaps up to this hold what is above them, in what units keep between them: resting contacts keep one of it.
 const HOLDS: f32 = 2.0;
+/// Ways of a substep, at most, of what closes in fast and touches, in radii of the smaller unit.
+const WAY: f32 = 1.0 / 64.0;
 /// Levels from what does not move that are told apart: sweeps go upwards by them, and higher stacks share the last.
 const LEVELS: u8 = 8;
 
@@ -36,6 +38,71 @@ fn movers(bodies: &Bodies<'_>, contact: &Contact) -> [Mover; 2] {
 fn radius(world: &World<'_>, contact: &Contact) -> f32 {
     let radius = |unit: usize| world.units.get(unit).map_or(0.0, |unit| unit.radius);
     contact.from.map_or(0.0, |from| radius(from).min(radius(contact.to)))
+}
+
+/// How fast a contact's units close in along its normal, m/s, and the smaller radius, metres.
+fn approach(world: &World<'_>, bodies: &Bodies<'_>, contact: &Contact) -> (f32, f32) {
+    let [own, other] = &contact.arms;
+    let mut leaving = bodies.speed_at(contact.to, other);
+    let mut small = world.units.get(contact.to).map_or(0.0, |unit| unit.radius);
+    if let Some(from) = contact.from {
+        leaving -= bodies.speed_at(from, own);
+        small = radius(world, contact);
+    }
+    (-dot(&leaving, &contact.normal), small)
+}
+
+/// Ticks until the first of the fast approaches touches, or is [`WAY`] further: where contacts are and when they bounce is known to a
+/// substep.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn ticks(world: &World<'_>, bodies: &Bodies<'_>, contacts: &Contacts<'_>) -> u16 {
+    let mut share = 1.0;
+    if world.gives_way() {
+        return world.ticks;
+    }
+    for row in contacts.rows() {
+        let contact = Contact::read(row);
+        let (closing, small) = approach(world, bodies, &contact);
+        if closing <= world.bounces(small) {
+            continue;
+        }
+        let (gap, near) = (positive(contact.gap), WAY * small);
+        let way = if gap > near { gap - 0.5 * near } else { gap + 0.5 * near };
+        if way < share * closing * world.substep_s {
+            share = way / (closing * world.substep_s);
+        }
+    }
+    // At most all.
+    ((share * f32::from(world.ticks)) as u16).max(1)
+}
+
+/// Rebounds are of approaches that gravity has sped up for all of the substep: takes that back where it is cut.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn shorten(
+    world: &World<'_>,
+    bodies: &Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+    by_s: f32,
+) {
+    let falls = |unit: usize| world.units.get(unit).is_some_and(|unit| unit.is_free());
+    let (rows, _) = contacts.both();
+    for row in rows {
+        let mut contact = Contact::read(row);
+        if contact.rebound <= 0.0 {
+            continue;
+        }
+        let (closing, _) = approach(world, bodies, &contact);
+        let pull = dot(&world.scene.gravity, &contact.normal) * by_s;
+        let mut before = closing;
+        if falls(contact.to) {
+            before -= pull;
+        }
+        if contact.from.is_some_and(falls) {
+            before += pull;
+        }
+        contact.rebound *= positive(closing) / before;
+        contact.write(row);
+    }
 }
 
 /// Contacts that were there in the substep before begin with their impulses. Of several that are close enough the closest
@@ -208,14 +275,14 @@ enum Goal {
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     // What has a spring takes no part in settling.
     let more = if world.gives_way() { SETTLING } else { 0 };
-    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
+    let sweeps = world.share_of(SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
     for turn in 0..sweeps {
         // To and fro: an order of contacts would favour what comes last.
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
             break;
         }
     }
-    for _ in 0..SETTLING {
+    for _ in 0..world.share_of(SETTLING).max(1) {
         if !sweep(world, bodies, contacts, (Goal::Settle, true)) {
             break;
         }

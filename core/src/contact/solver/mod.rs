@@ -37,8 +37,12 @@ const _: () = assert!(SCRATCH <= 465, "every unit of every copy pays for the sol
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
-/// Substeps of a step, at most: a bound on its time.
-const MOST_SUBSTEPS: u8 = 32;
+/// Substeps of a step without fast approaches, at most: a bound on its time.
+const MOST_SUBSTEPS: u8 = 16;
+/// And with them.
+const MOST_CUT_SUBSTEPS: u8 = 32;
+/// Parts of a substep that it may be cut by: a power of two, so that a whole one is a share of the step to the bit.
+const TICKS: u16 = 16;
 /// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
 /// Greater turns of a step are cut, radians: from half a turn on, the way there is shorter the other way round.
@@ -110,12 +114,15 @@ fn in_substeps<S: Schedule>(
     may_rest: bool,
 ) -> bool {
     bodies.begin(world);
-    let world = &bodies.paced(world);
     #[cfg(rigidformer_host)]
     let left_out = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
-    for substep in 0..world.substeps {
+    let step = world;
+    let (mut left, mut taken) = (TICKS * u16::from(step.substeps), 0);
+    while left > 0 {
+        let mut part = step.part(left.min(TICKS));
+        let world = &part;
         bodies.begin_substep(world);
         #[cfg(rigidformer_host)]
         {
@@ -129,6 +136,20 @@ fn in_substeps<S: Schedule>(
             }
         }
         contacts.find(schedule, world, bodies);
+        let least = left.div_ceil(u16::from(MOST_CUT_SUBSTEPS.saturating_sub(taken).max(1)));
+        let ticks = impulses::ticks(world, bodies, contacts).max(least);
+        if ticks < world.ticks {
+            // What rests does so in steps that are not cut.
+            #[cfg(rigidformer_host)]
+            if bodies.leaves_still() {
+                return false;
+            }
+            let whole = world.substep_s;
+            part = step.part(ticks);
+            bodies.shorten(&part, whole - part.substep_s);
+            impulses::shorten(&part, bodies, contacts, whole - part.substep_s);
+        }
+        let world = &part;
         #[cfg(rigidformer_host)]
         {
             // With those of what stays they must have room, or others would be left out.
@@ -143,7 +164,7 @@ fn in_substeps<S: Schedule>(
         }
         impulses::warm_start(world, bodies, contacts);
         impulses::rank(world, bodies, contacts);
-        if substep == 0 {
+        if taken == 0 {
             bodies.hold(world);
         }
         impulses::stop(world, bodies, contacts);
@@ -153,9 +174,11 @@ fn in_substeps<S: Schedule>(
             impulses::bounce(world, bodies, contacts);
         }
         impulses::push_apart(world, bodies, contacts);
+        left = left.saturating_sub(world.ticks);
+        taken = taken.saturating_add(1);
     }
     #[cfg(rigidformer_host)]
-    bodies.end(world.substeps);
+    bodies.end(if taken == step.substeps { taken } else { 0 });
     true
 }
 

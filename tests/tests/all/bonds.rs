@@ -128,9 +128,9 @@ fn bonded_units_stay_together_for_five_hundred_steps() {
 #[test]
 fn cells_fall_as_their_cube() {
     // Small differences of the motion grow in the landing: the median counts.
-    let mut off: Vec<_> = (0..20_u8)
-        .map(|drop| {
-            let z = 0.3 + 0.025 * f32::from(drop);
+    let mut off: Vec<_> = [0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
+        .into_iter()
+        .map(|z| {
             let centre = |bonded: bool| {
                 with_scene(|simulator| {
                     let (cell, cube) = (cuboid(0.05, 0.05, 0.05), cuboid(0.1, 0.1, 0.1));
@@ -164,7 +164,7 @@ fn cells_fall_as_their_cube() {
             let (cells, cube) = (centre(true), centre(false));
             println!("from {z} m: cells {cells:?}, cube {cube:?}");
             let away = cells - cube;
-            assert!(away.z.abs() < 1e-4 && away.norm() < 2.5e-2, "{cells} {cube}");
+            assert!(away.z.abs() < 1e-4 && away.norm() < 2e-2, "{cells} {cube}");
             away.norm()
         })
         .collect();

@@ -19,16 +19,19 @@ import numpy as np
 from .impacts import _gjk, _support
 
 PARTS_HZ = 144.0  # a part of a step is at most so many parts of a second
-MOST_PARTS = 32
-WAY = 1 / 32  # of a part at most, in radii of the smaller of two units that may meet
-SWEEPS = 38  # over all contacts in a step, of all parts together
-LEAST_SWEEPS = 4  # of a part
-SETTLING = 4  # sweeps after those, from what does not move upwards, each lower unit held
+MOST_PARTS = 16
+MOST_CUT_PARTS = 32  # where fast approaches cut parts
+TICKS = 16  # of a part: it may be cut to so many of them
+WAY = 1 / 64  # of a part, at most, of what closes in fast and touches, in radii of the smaller unit
+SWEEPS = 12  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 3  # of a part
+SETTLING = 1  # sweeps after those, from what does not move upwards, each lower unit held
+SLIGHT = 1e-3  # smaller changes of velocity do not count, in gravity x dt of a part: sweeps end where all are
 BOUNCING = 4  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
 SLACK = 0.0002  # of an overlap that they leave, in radii of the smaller one
-SHARE = 0.5  # of an overlap that a push takes away; more parts push less each
+SHARE = 0.5  # of an overlap that a whole part pushes away
 FACE = 0.03  # points this close to the lowest one belong to its face, in radii
 SKIN = 0.002  # units keep this distance, in radii: hulls that do not overlap have an exact normal
 BOUNCE = 0.1  # slower approaches do not bounce, in sqrt(gravity x radius); motion this fast counts as a whole one
@@ -144,33 +147,6 @@ def _distance(w, i, a, ri, ci, j, b, rj, cj, v, p, q):
     """As `impacts._gjk`, to rounding: of two pieces, balls as their middles, from direction v on; 0: they overlap."""
     a, b = w.piece[w.first[i] + a], w.piece[w.first[j] + b]
     return _gjk(w.bank, a[0], a[1], w.scale[i], ri, ci, b[0], b[1], w.scale[j], rj, cj, v, p, q, TOLERANCE)
-
-
-@numba.njit(cache=True, nogil=True)
-def _wanted(w, s, arms, bound, radius, dt, parts):
-    """Parts that a step is taken in, so that none takes what may meet nearer by more than WAY; radius: of what moves, parts: at
-    least."""
-    units, most = len(w.free), 0.0
-    whirl = np.zeros(units)
-    for i in range(units):
-        whirl[i] = _length(s.spin[i]) * (radius[i] if bound[i] else w.radius[i] - w.round[i])
-    for i in range(units):
-        if w.lead[i] != i:
-            continue
-        centre = s.centre[i] - arms[i]
-        for plane in range(len(w.planes)):
-            n = w.planes[plane, :3]
-            way = (whirl[i] - np.dot(n, s.velocity[i])) * dt
-            if w.free[i] and np.dot(n, centre) - w.planes[plane, 3] - radius[i] < way:
-                most = max(most, way / radius[i])
-        for j in range(i + 1, units):
-            if w.lead[j] == j and (w.free[i] or w.free[j]) and w.group[i] != w.group[j]:
-                way = (_length(s.velocity[i] - s.velocity[j]) + whirl[i] + whirl[j]) * dt
-                if _length(s.centre[j] - arms[j] - centre) - radius[i] - radius[j] < way:
-                    most = max(most, way / min(radius[i], radius[j]))
-    while parts < MOST_PARTS and parts * WAY < most:
-        parts += 1
-    return parts
 
 
 @numba.njit(cache=True, nogil=True)
@@ -663,8 +639,53 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
 
 
 @numba.njit(cache=True, nogil=True)
+def _ticks(w, s, c, count, h, ticks):
+    """Ticks of a part of h seconds until the first of the fast approaches touches, or is WAY further."""
+    share = 1.0
+    for k in range(count):
+        closing = -np.dot(_relative(w, s, c, k), c.axes[k, 0])
+        if closing <= -c.bounces[k]:
+            continue
+        small = w.radius[c.j[k]] if c.i[k] == PLANE else min(w.radius[c.i[k]], w.radius[c.j[k]])
+        gap, near = max(c.gap[k] - c.skin[k], 0.0), WAY * small
+        way = gap - 0.5 * near if gap > near else gap + 0.5 * near
+        share = min(share, way / (closing * h))
+    return max(int(share * ticks), 1)
+
+
+@numba.njit(cache=True, nogil=True)
+def _carry(w, s, before, light, inverse, c, count, dt, h):
+    """Lets each unit carry what is above it, downwards, as if what is below moved as before the part: what rests on patches does so after
+    one sweep. before (M, 3): those velocities."""
+    rests = np.zeros(len(light))
+    for counts in (True, False):
+        for place in range(count - 1, -1, -1):
+            k = c.order[place]
+            if not c.middle[k] or c.held[k] < 0:
+                continue
+            i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
+            upper, lower = (j, i) if c.held[k] == 0 else (i, j)
+            n = c.axes[k, 0] if c.held[k] == 0 else -c.axes[k, 0]
+            still = before[lower] if lower != PLANE else np.zeros(3)
+            small = w.radius[c.j[k]] if c.i[k] == PLANE else min(w.radius[c.i[k]], w.radius[c.j[k]])
+            if np.dot(still - before[upper], n) > -_bounces(w, small, dt, h):  # what hits it is not carried
+                continue
+            if counts:
+                rests[upper] += 1
+                continue
+            share = 1 / rests[upper]
+            rests[upper] -= 1
+            leaving = np.dot(s.velocity[upper] - still, n)
+            along = max((-max(c.gap[k] - c.skin[k], 0.0) / h - leaving) * share / light[upper], 0.0)
+            push = c.axes[k, 0] * along
+            _kick(w, s, light, inverse, c, k, push[0], push[1], push[2], False, False)
+            c.impulse[k, 0] = along
+
+
+@numba.njit(cache=True, nogil=True)
 def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
-    """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone."""
+    """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone. Whether any matters."""
+    acts, slight = False, SLIGHT * _length(w.gravity) * h
     for place in range(2 * count):
         # The middles of patches first: they carry the load without turning anything.
         middles, rank = place < count, place % count
@@ -684,6 +705,7 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         more = along - c.impulse[k, 0]
         _kick(w, s, light, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
+        acts |= abs(more) > slight * weight
         if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0 and c.twist[k, 1] == 0:
             continue
         seen, u, v, twist = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2], 0.0
@@ -701,12 +723,16 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
         if size > most:
             a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
+        braked = 0.0
         if c.middle[k]:
+            braked = abs(twist - c.twist[k, 1])
             _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
             c.twist[k, 1] = twist
         f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
+        acts |= abs(more) + abs(f) + abs(g) + braked > slight * weight
         _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
+    return acts
 
 
 @numba.njit(cache=True, nogil=True)
@@ -867,11 +893,12 @@ def advance(w, s, dt, parts, c, old):
         slow = REST * drop * dt
         rest[lead] = max(rest[lead], slow + min(slow, ROUNDING * np.abs(s.centre[unit]).max() / dt))
     count = most = 0
-    least, parts = parts, _wanted(w, s, arms, bound, radius, dt, parts)
-    h = dt / parts
-    sweeps = max(LEAST_SWEEPS, SWEEPS // parts)
+    left, part = TICKS * parts, 0
     there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres
-    for part in range(parts):
+    before = s.velocity.copy()
+    while left > 0:
+        ticks = min(left, TICKS)
+        h = ticks * (dt / (TICKS * parts))
         kept = count
         for k in range(count):
             old.i[k], old.j[k], old.piece[k], old.arm_j[k] = c.i[k], c.j[k], c.piece[k], c.arm_j[k]
@@ -902,6 +929,16 @@ def advance(w, s, dt, parts, c, old):
             if c.i[k] != PLANE and bound[c.i[k]]:
                 c.arm_i[k] += arms[c.i[k]]
         most = max(most, count)
+        fewer = -(-left // (MOST_CUT_PARTS - part))
+        fewer = max(_ticks(w, s, c, count, h, ticks), fewer)
+        if fewer < ticks:
+            for k in range(count):  # what bounces is known with gravity of all of the part
+                slow = np.dot(_relative(w, s, c, k), c.axes[k, 0]) >= c.bounces[k]
+                c.bounces[k] = -np.inf if slow else 0.0
+            whole, ticks, h = h, fewer, fewer * (dt / (TICKS * parts))
+            for unit in range(units):
+                if w.free[unit] and w.lead[unit] == unit:
+                    s.velocity[unit] -= w.gravity * (whole - h)
         _levels(w, c, count, level)
         if part == 0:
             # What lay still between the two frames and is held has not begun to fall in the middle of it either.
@@ -911,11 +948,18 @@ def advance(w, s, dt, parts, c, old):
                 way = _length(velocity[unit] - w.gravity * (1.5 * dt)) + _length(spin[unit]) * radius[unit]
                 if w.free[unit] and level[unit] < FAR and way < HELD * drop * dt:
                     s.velocity[unit] -= w.gravity * (0.5 * dt)
+                    before[unit] -= w.gravity * (0.5 * dt)
                 if level[unit] == FAR:
                     speed[unit] = np.inf  # at the top of a bounce it is slow, and does not rest
         _prepare(w, s, light, inverse, c, count, old, kept)
-        for turn in range(sweeps + SETTLING):
-            _sweep(w, s, light, inverse, c, count, h, turn, turn >= sweeps, False)
+        if part == 0:
+            _carry(w, s, before, light, inverse, c, count, dt, h)
+        for turn in range(max(LEAST_SWEEPS, (SWEEPS // parts) * ticks // TICKS)):
+            if not _sweep(w, s, light, inverse, c, count, h, turn, False, False):
+                break
+        for _ in range(SETTLING * ticks // TICKS):
+            if not _sweep(w, s, light, inverse, c, count, h, 1, True, False):
+                break
         touched_now[:] = False
         bounces = False
         for k in range(count):
@@ -935,8 +979,10 @@ def advance(w, s, dt, parts, c, old):
             _turn(s.spin[lead] * h, s.rotation[unit])
         if bounces:
             for turn in range(BOUNCING):
-                _sweep(w, s, light, inverse, c, count, h, turn, False, True)
-        _push_apart(w, s, light, inverse, c, count, SHARE * least / parts, touched)
+                if not _sweep(w, s, light, inverse, c, count, h, turn, False, True):
+                    break
+        _push_apart(w, s, light, inverse, c, count, SHARE * ticks / TICKS, touched)
+        left, part = left - ticks, part + 1
     share = np.zeros(units)
     arms, bound = _arms(w, s)
     radius = _radii(w, arms, bound)

@@ -91,7 +91,7 @@ pub(super) struct World<'s> {
     pub(super) units: &'s [UnitSlot],
     pub(super) scene: &'s Scene<'s>,
     /// Gravity without its direction, m/s^2.
-    gravity_size: f32,
+    pub(super) gravity_size: f32,
     /// Substeps of the step.
     pub(super) substeps: u8,
     /// Of the one at hand.
@@ -400,7 +400,7 @@ impl<'s> World<'s> {
     }
 
     /// What gravity adds to the velocity of free units in a substep, m/s.
-    fn gravity_velocity_change(&self) -> Vector3<f32> {
+    pub(super) fn gravity_velocity_change(&self) -> Vector3<f32> {
         self.scene.gravity * self.substep_s
     }
 
@@ -430,7 +430,7 @@ pub(super) struct Mover {
     /// rad/s, in the world's axes
     pub(super) spin: Vector3<f32>,
     /// 1 / kg
-    lightness: f32,
+    pub(super) lightness: f32,
     /// Inverse of the inertia in the world's axes, 1 / (kg m^2): xx, yy, zz, xy, xz, yz.
     inverse: [f32; 6],
 }
@@ -872,8 +872,7 @@ impl<'r> Bodies<'r> {
             }
             let mut mover = self.mover(number);
             let mut marks = self.marks(number);
-            // What gives way moves at the mean of the velocities before and after.
-            self.shifts(number, if world.gives_way() { &mover } else { &Mover::STILL });
+            self.shifts(number, &mover);
             mover.lightness = unit.lightness();
             if unit.cluster_root().is_some() {
                 let cluster = self.keep_arms(world, number);
@@ -1054,13 +1053,16 @@ impl<'r> Bodies<'r> {
                 let mut mover = self.mover(number);
                 mover.velocity -= gravity * (0.5 * dt);
                 self.moves(number, &mover);
-                if world.gives_way() {
-                    let mut before = self.shifted(number);
-                    before.velocity -= gravity * (0.5 * dt);
-                    self.shifts(number, &before);
-                }
+                let mut before = self.shifted(number);
+                before.velocity -= gravity * (0.5 * dt);
+                self.shifts(number, &before);
             }
         }
+    }
+
+    /// Forgets how units moved before the substep.
+    pub(super) fn forget(&mut self) {
+        self.shifts.as_flattened_mut().fill(0.0);
     }
 
     /// Moves all units by their velocities over a substep.
@@ -1093,7 +1095,7 @@ impl<'r> Bodies<'r> {
         }
         if world.gives_way() {
             // They have been the velocities before.
-            self.shifts.as_flattened_mut().fill(0.0);
+            self.forget();
         }
     }
 

@@ -405,6 +405,23 @@ impl<'r> Contacts<'r> {
         }
     }
 
+    /// Says that so many units rest on nothing, once contacts are in order.
+    pub(super) fn rest_on_nothing(&mut self, units: usize) {
+        self.old.iter_mut().take(units).for_each(|[_, _, _, rests, ..]| *rests = 0.0);
+    }
+
+    /// What a unit rests on.
+    pub(super) fn rests_on(&self, unit: usize) -> f32 {
+        self.old.get(unit).map_or(0.0, |[_, _, _, rests, ..]| *rests)
+    }
+
+    /// Says that a unit rests on so many more.
+    pub(super) fn rest_on(&mut self, unit: usize, more: f32) {
+        if let Some([_, _, _, rests, ..]) = self.old.get_mut(unit) {
+            *rests += more;
+        }
+    }
+
     /// Contacts that are the middle of a patch: the first ones that are [`swept`](Self::swept).
     pub(super) fn middles(&self) -> usize {
         self.middles

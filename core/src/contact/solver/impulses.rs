@@ -7,11 +7,11 @@ use crate::math;
 use nalgebra::Vector3;
 
 /// Sweeps over all contacts in a step, of all substeps together: a bound on time.
-const SWEEPS: u8 = 38;
+const SWEEPS: u8 = 12;
 /// Sweeps of a substep, at least: with fewer, impulses do not get through a stack.
-const LEAST_SWEEPS: u8 = 4;
+const LEAST_SWEEPS: u8 = 3;
 /// Sweeps after those, upwards from what does not move, each lower unit held: they carry what sweeps to and fro leave.
-const SETTLING: u8 = 4;
+const SETTLING: u8 = 1;
 /// Sweeps in which contacts bounce: a bounce passes through as many units.
 const BOUNCING: u8 = 4;
 /// Sweeps of a substep that push overlaps apart: the next substep goes on from there.
@@ -40,16 +40,22 @@ fn radius(world: &World<'_>, contact: &Contact) -> f32 {
     contact.from.map_or(0.0, |from| radius(from).min(radius(contact.to)))
 }
 
+/// As [`radius`], with that of a unit on a plane.
+fn radius_of(world: &World<'_>, contact: &Contact) -> f32 {
+    match contact.from {
+        Some(_) => radius(world, contact),
+        None => world.units.get(contact.to).map_or(0.0, |unit| unit.radius),
+    }
+}
+
 /// How fast a contact's units close in along its normal, m/s, and the smaller radius, metres.
 fn approach(world: &World<'_>, bodies: &Bodies<'_>, contact: &Contact) -> (f32, f32) {
     let [own, other] = &contact.arms;
     let mut leaving = bodies.speed_at(contact.to, other);
-    let mut small = world.units.get(contact.to).map_or(0.0, |unit| unit.radius);
     if let Some(from) = contact.from {
         leaving -= bodies.speed_at(from, own);
-        small = radius(world, contact);
     }
-    (-dot(&leaving, &contact.normal), small)
+    (-dot(&leaving, &contact.normal), radius_of(world, contact))
 }
 
 /// Ticks until the first of the fast approaches touches, or is [`WAY`] further: where contacts are and when they bounce is known to a
@@ -260,6 +266,58 @@ fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
 
+/// Smaller changes of velocity do not count, in gravity x dt of a substep: sweeps end where all are.
+const SLIGHT: f32 = 1e-3;
+
+/// What a sweep is for, seconds of the substep, and changes of velocity that do not count, m/s.
+type Aim = (Goal, f32, f32);
+
+/// Lets each unit carry what is above it, downwards, as if what is below stood still: what rests on patches does so after one sweep. A
+/// step remembers no impulses of the one before.
+#[cfg_attr(rigidformer_dsp, inline(never))]
+pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+    contacts.rest_on_nothing(world.units.len());
+    for is_counting in [true, false] {
+        for place in (0..contacts.middles()).rev() {
+            let Some(contact) = contacts.swept(place).map(|row| Contact::read(row)) else {
+                continue;
+            };
+            let (upper, lower) = match contact.held {
+                Held::From => (contact.to, contact.from),
+                Held::To => (contact.from.unwrap_or(contact.to), Some(contact.to)),
+                Held::Neither => continue,
+            };
+            let still = lower.map_or(Vector3::zeros(), |lower| bodies.shifted(lower).velocity);
+            let n = if contact.held == Held::To { -contact.normal } else { contact.normal };
+            let (root, closing) =
+                (bodies.root_of(upper), dot(&(still - bodies.shifted(upper).velocity), &n));
+            // What hits it is not carried.
+            if closing > world.bounces(radius_of(world, &contact)) {
+                continue;
+            }
+            if is_counting {
+                contacts.rest_on(root, 1.0);
+                continue;
+            }
+            let share = 1.0 / contacts.rests_on(root);
+            contacts.rest_on(root, -1.0);
+            let [own, other] = &contact.arms;
+            let [mut from, mut to] = movers(bodies, &contact);
+            let mover = bodies.mover(upper);
+            let leaving = dot(&(mover.velocity - still), &n);
+            let wanted = -(positive(contact.gap) / world.substep_s);
+            let along = positive((wanted - leaving) * share / mover.lightness);
+            let push = contact.normal * along;
+            to.apply_impulse(other, &push);
+            from.apply_impulse(own, &opposite(&push));
+            keep(bodies, &contact, &[from, to]);
+            if let Some(row) = contacts.swept(place) {
+                Contact::write_impulse(&[along, 0.0, 0.0], row);
+            }
+        }
+    }
+}
+
 /// What a sweep is for.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Goal {
@@ -282,7 +340,7 @@ pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Co
             break;
         }
     }
-    for _ in 0..world.share_of(SETTLING).max(1) {
+    for _ in 0..world.share_of(SETTLING) {
         if !sweep(world, bodies, contacts, (Goal::Settle, true)) {
             break;
         }
@@ -309,13 +367,14 @@ fn sweep(
     (goal, upwards): (Goal, bool),
 ) -> bool {
     let (count, middles) = (contacts.rows().len(), contacts.middles());
+    let slight = SLIGHT * world.gravity_size * world.substep_s;
     let mut acts = false;
     // The middles of patches first: they carry the load without turning anything.
     for (start, end) in [(0, middles), (middles, count)] {
         for place in start..end {
             let place = if upwards { place } else { start + (end - 1 - place) };
             let Some(row) = contacts.swept(place) else { continue };
-            let aim = (goal, world.substep_s);
+            let aim = (goal, world.substep_s, slight);
             acts |= if Contact::is_on_plane(row) {
                 resolve_on_plane(bodies, row, aim)
             } else {
@@ -333,7 +392,7 @@ fn normal_impulse(
     contact: &Contact,
     leaving: &Vector3<f32>,
     heavy: f32,
-    (goal, substep_s): (Goal, f32),
+    (goal, substep_s, _): Aim,
 ) -> Option<f32> {
     let [before, across, aside] = contact.impulse;
     if contact.gives_way() {
@@ -372,8 +431,13 @@ fn positive(number: f32) -> f32 {
 /// Lets friction act within what `along` allows: against sliding, and at the middle of a patch against a spin about the normal too. The
 /// first unit is [`Mover::STILL`] for a plane.
 #[inline]
-fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f32; CONTACT]) {
-    let ([n, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
+fn rub(
+    contact: &Contact,
+    along: f32,
+    [from, to]: [&mut Mover; 2],
+    row: &mut [f32; CONTACT],
+) -> f32 {
+    let ([n, t, b], [before, across, aside]) = (contact.axes(), contact.impulse);
     let ([own, other], [_, heavy_across, heavy_aside]) = (&contact.arms, contact.weight);
     let [arm, twist, heavy] = contact.twist().unwrap_or_default();
     let mut r = twist - dot(&(to.spin - from.spin), &n) * arm * heavy;
@@ -400,12 +464,13 @@ fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f3
         from.twist(&opposite(&turn));
         Contact::write_twist(r, row);
     }
+    (along - before).abs() + ((p - across).abs() + (q - aside).abs()) + (r - twist).abs()
 }
 
 /// What takes the approach of two units, and friction within its cone. Whether there is any.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
-    let (goal, _) = aim;
+fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim) -> bool {
+    let (goal, _, slight) = aim;
     let contact = Contact::read(row);
     let ([own, other], [mut heavy, ..]) = (&contact.arms, contact.weight);
     let [before, ..] = contact.impulse;
@@ -433,16 +498,16 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) 
     let push = n * (along - before);
     to.apply_impulse(other, &push);
     from.apply_impulse(own, &opposite(&push));
-    rub(&contact, along, [&mut from, &mut to], row);
+    let changed = rub(&contact, along, [&mut from, &mut to], row);
     bodies.moves(number, &from);
     bodies.moves(contact.to, &to);
-    true
+    changed > slight * heavy
 }
 
 /// As [`resolve`], for a unit on a plane, which nothing moves: the same numbers for half of the work.
 #[inline]
-fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
-    let (goal, _) = aim;
+fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim) -> bool {
+    let (goal, _, slight) = aim;
     let contact = Contact::read(row);
     let ([_, arm], [heavy, ..]) = (&contact.arms, contact.weight);
     let [before, ..] = contact.impulse;
@@ -456,9 +521,9 @@ fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goa
     let (n, [before, ..]) = (contact.normal, contact.impulse);
     let Some(mut to) = bodies.find(contact.to) else { return false };
     to.apply_impulse(arm, &(n * (along - before)));
-    rub(&contact, along, [&mut { Mover::STILL }, &mut to], row);
+    let changed = rub(&contact, along, [&mut { Mover::STILL }, &mut to], row);
     bodies.moves(contact.to, &to);
-    true
+    changed > slight * heavy
 }
 
 /// Marks the units that impulses have moved. Whether any contact bounces.

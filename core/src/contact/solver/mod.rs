@@ -166,6 +166,13 @@ fn in_substeps<S: Schedule>(
         impulses::rank(world, bodies, contacts);
         if taken == 0 {
             bodies.hold(world);
+            if !world.gives_way() {
+                impulses::carry(world, bodies, contacts);
+            }
+        }
+        // What gives way moves at the mean of the velocities before and after.
+        if !world.gives_way() {
+            bodies.forget();
         }
         impulses::stop(world, bodies, contacts);
         let bounces = impulses::mark(world, bodies, contacts);

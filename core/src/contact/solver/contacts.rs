@@ -110,6 +110,12 @@ impl Contact {
         }
     }
 
+    /// As [`read`](Self::read), where it is not worth its size on microcontrollers.
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    pub(super) fn load(row: &[f32; CONTACT]) -> Self {
+        Self::read(row)
+    }
+
     pub(super) fn write(&self, row: &mut [f32; CONTACT]) {
         let Contact { impulse: [p, q, r], arms: [a, b], normal: n, tangent: t, .. } = *self;
         let [along, across, aside] = self.weight;

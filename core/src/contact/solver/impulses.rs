@@ -23,7 +23,7 @@ const SAME_WAY: f32 = 0.7;
 /// Gaps up to this hold what is above them, in what units keep between them: resting contacts keep one of it.
 const HOLDS: f32 = 2.0;
 /// Ways of a substep, at most, of what closes in fast and touches, in radii of the smaller unit.
-const WAY: f32 = 1.0 / 64.0;
+const WAY: f32 = 1.0 / 32.0;
 /// Levels from what does not move that are told apart: sweeps go upwards by them, and higher stacks share the last.
 const LEVELS: u8 = 8;
 
@@ -49,6 +49,7 @@ fn radius_of(world: &World<'_>, contact: &Contact) -> f32 {
 }
 
 /// How fast a contact's units close in along its normal, m/s, and the smaller radius, metres.
+#[cfg_attr(rigidformer_dsp, inline(never))]
 fn approach(world: &World<'_>, bodies: &Bodies<'_>, contact: &Contact) -> (f32, f32) {
     let [own, other] = &contact.arms;
     let mut leaving = bodies.speed_at(contact.to, other);
@@ -67,7 +68,7 @@ pub(super) fn ticks(world: &World<'_>, bodies: &Bodies<'_>, contacts: &Contacts<
         return world.ticks;
     }
     for row in contacts.rows() {
-        let contact = Contact::read(row);
+        let contact = Contact::load(row);
         let (closing, small) = approach(world, bodies, &contact);
         if closing <= world.bounces(small) {
             continue;
@@ -93,7 +94,7 @@ pub(super) fn shorten(
     let falls = |unit: usize| world.units.get(unit).is_some_and(|unit| unit.is_free());
     let (rows, _) = contacts.both();
     for row in rows {
-        let mut contact = Contact::read(row);
+        let mut contact = Contact::load(row);
         if contact.rebound <= 0.0 {
             continue;
         }
@@ -279,7 +280,7 @@ pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
     contacts.rest_on_nothing(world.units.len());
     for is_counting in [true, false] {
         for place in (0..contacts.middles()).rev() {
-            let Some(contact) = contacts.swept(place).map(|row| Contact::read(row)) else {
+            let Some(contact) = contacts.swept(place).map(|row| Contact::load(row)) else {
                 continue;
             };
             let (upper, lower) = match contact.held {
@@ -440,9 +441,9 @@ fn rub(
     let ([n, t, b], [before, across, aside]) = (contact.axes(), contact.impulse);
     let ([own, other], [_, heavy_across, heavy_aside]) = (&contact.arms, contact.weight);
     let [arm, twist, heavy] = contact.twist().unwrap_or_default();
-    let mut r = twist - dot(&(to.spin - from.spin), &n) * arm * heavy;
-    let mut sliding = to.speed_at(other) - from.speed_at(own);
+    let (mut r, mut sliding) = (0.0, to.speed_at(other) - from.speed_at(own));
     if contact.is_middle {
+        r = twist - dot(&(to.spin - from.spin), &n) * arm * heavy;
         // As if the spin were braked: all three at once may overshoot.
         let turn = n * ((r - twist) * arm);
         sliding += to.turned_at(&turn, other) + from.turned_at(&turn, own);

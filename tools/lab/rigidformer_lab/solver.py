@@ -987,6 +987,12 @@ def advance(w, s, dt, parts, c, old):
     arms, bound = _arms(w, s)
     radius = _radii(w, arms, bound)
     changed, changed_spin = s.velocity - velocity, s.spin - spin
+    went = np.zeros(units)  # what is pushed out of something else is slow too, and goes
+    for unit in range(units):
+        turn = s.rotation[unit] @ rotation[unit].T.copy()
+        turn = (turn - turn.T.copy()) / 2  # its sine
+        arm = np.sqrt((turn * turn).sum() / 2) * radius[unit]
+        went[unit] = np.sqrt(arm * arm + ((s.centre[unit] - centre[unit]) ** 2).sum())
     for unit in range(units):
         lead = w.lead[unit]
         if not w.free[unit]:
@@ -995,7 +1001,8 @@ def advance(w, s, dt, parts, c, old):
         if not touched[lead]:
             continue
         touched[unit] = True
-        if level[lead] < FAR and speed[lead] < rest[lead] and _speed(radius[lead], s, lead) < rest[lead]:
+        slow = level[lead] < FAR and speed[lead] < rest[lead] and _speed(radius[lead], s, lead) < rest[lead]
+        if slow and went[lead] <= SKIN * radius[lead]:
             s.rotation[unit], s.centre[unit] = rotation[unit], centre[unit]
             share[unit] = -1.0
             continue

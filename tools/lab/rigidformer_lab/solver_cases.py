@@ -158,7 +158,7 @@ def ends_from(seed, w, given):
     start = given[2:]
     ends = [step(w, *start, code) for code in STEPS]
     rng = np.random.default_rng(seed)
-    for _ in range(4):
+    for _ in range(12):
         shaken = [v + rng.normal(size=v.shape) * 1e-7 * np.maximum(1.0, np.abs(v)) for v in start]
         for end, code in zip(ends, STEPS):
             away = np.abs(step(w, *shaken, code) - end)

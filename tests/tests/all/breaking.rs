@@ -105,7 +105,7 @@ fn what_flies_or_rests_never_breaks_and_what_lands_does() {
 fn what_breaks_in_a_step_does_not_hold_in_it() {
     let run = |by_model: bool| {
         with_simulator(&with_bias(if by_model { 1e3 } else { -1e3 }), 200, |simulator| {
-            let ids = row(simulator, 0.101, 3.0);
+            let ids = row(simulator, 0.101, 6.0);
             if !by_model {
                 for pair in ids.windows(2) {
                     assert!(simulator.break_bond([pair[0], pair[1]]).unwrap());
@@ -128,7 +128,7 @@ fn a_step_that_fails_breaks_nothing() {
         let at = |x: f32, z: f32| Isometry3::translation(x, 0.03, z);
         let held = |x: f32| Posed {
             unit: Unit::new(&points, STONE).body(4),
-            previous: at(x, 0.101 + 3.0 * DT_S),
+            previous: at(x, 0.101 + 6.0 * DT_S),
             current: at(x, 0.101),
         };
         let lost = Posed {

@@ -23,11 +23,11 @@ MOST_PARTS = 16
 MOST_CUT_PARTS = 32  # where fast approaches cut parts
 TICKS = 16  # of a part: it may be cut to so many of them
 WAY = 1 / 32  # of a part, at most, of what closes in fast and touches, in radii of the smaller unit
-SWEEPS = 12  # over all contacts in a step, of all parts together
-LEAST_SWEEPS = 3  # of a part
+SWEEPS = 18  # over all contacts in a step, of all parts together
+LEAST_SWEEPS = 4  # of a part
 SETTLING = 1  # sweeps after those, from what does not move upwards, each lower unit held
-SLIGHT = 1e-3  # smaller changes of velocity do not count, in gravity x dt of a part: sweeps end where all are
-BOUNCING = 4  # sweeps in which contacts bounce
+SLIGHT = 1e-3  # smaller changes of velocity do not count, in gravity x dt: sweeps end where all are
+BOUNCING = 8  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
 SLACK = 0.0002  # of an overlap that they leave, in radii of the smaller one
@@ -683,9 +683,9 @@ def _carry(w, s, before, light, inverse, c, count, dt, h):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
+def _sweep(w, s, light, inverse, c, count, dt, h, turn, settles, bounces):
     """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone. Whether any matters."""
-    acts, slight = False, SLIGHT * _length(w.gravity) * h
+    acts, slight = False, SLIGHT * _length(w.gravity) * dt
     for place in range(2 * count):
         # The middles of patches first: they carry the load without turning anything.
         middles, rank = place < count, place % count
@@ -954,11 +954,11 @@ def advance(w, s, dt, parts, c, old):
         _prepare(w, s, light, inverse, c, count, old, kept)
         if part == 0:
             _carry(w, s, before, light, inverse, c, count, dt, h)
-        for turn in range(max(LEAST_SWEEPS, (SWEEPS // parts) * ticks // TICKS)):
-            if not _sweep(w, s, light, inverse, c, count, h, turn, False, False):
+        for turn in range(max(LEAST_SWEEPS, SWEEPS // parts)):
+            if not _sweep(w, s, light, inverse, c, count, dt, h, turn, False, False):
                 break
         for _ in range(SETTLING * ticks // TICKS):
-            if not _sweep(w, s, light, inverse, c, count, h, 1, True, False):
+            if not _sweep(w, s, light, inverse, c, count, dt, h, 1, True, False):
                 break
         touched_now[:] = False
         bounces = False
@@ -979,7 +979,7 @@ def advance(w, s, dt, parts, c, old):
             _turn(s.spin[lead] * h, s.rotation[unit])
         if bounces:
             for turn in range(BOUNCING):
-                if not _sweep(w, s, light, inverse, c, count, h, turn, False, True):
+                if not _sweep(w, s, light, inverse, c, count, dt, h, turn, False, True):
                     break
         _push_apart(w, s, light, inverse, c, count, SHARE * ticks / TICKS, touched)
         left, part = left - ticks, part + 1

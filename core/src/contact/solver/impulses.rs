@@ -7,13 +7,13 @@ use crate::math;
 use nalgebra::Vector3;
 
 /// Sweeps over all contacts in a step, of all substeps together: a bound on time.
-const SWEEPS: u8 = 12;
+const SWEEPS: u8 = 18;
 /// Sweeps of a substep, at least: with fewer, impulses do not get through a stack.
-const LEAST_SWEEPS: u8 = 3;
+const LEAST_SWEEPS: u8 = 4;
 /// Sweeps after those, upwards from what does not move, each lower unit held: they carry what sweeps to and fro leave.
 const SETTLING: u8 = 1;
 /// Sweeps in which contacts bounce: a bounce passes through as many units.
-const BOUNCING: u8 = 4;
+const BOUNCING: u8 = 8;
 /// Sweeps of a substep that push overlaps apart: the next substep goes on from there.
 const PUSHES: u8 = 1;
 /// A contact this close to one of the substep before goes on from its impulse, in radii: it is the same one, moved.
@@ -267,7 +267,7 @@ fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
 
-/// Smaller changes of velocity do not count, in gravity x dt of a substep: sweeps end where all are.
+/// Smaller changes of velocity do not count, in gravity x dt: sweeps end where all are.
 const SLIGHT: f32 = 1e-3;
 
 /// What a sweep is for, seconds of the substep, and changes of velocity that do not count, m/s.
@@ -334,7 +334,7 @@ enum Goal {
 pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     // What has a spring takes no part in settling.
     let more = if world.gives_way() { SETTLING } else { 0 };
-    let sweeps = world.share_of(SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
+    let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
     for turn in 0..sweeps {
         // To and fro: an order of contacts would favour what comes last.
         if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
@@ -368,7 +368,7 @@ fn sweep(
     (goal, upwards): (Goal, bool),
 ) -> bool {
     let (count, middles) = (contacts.rows().len(), contacts.middles());
-    let slight = SLIGHT * world.gravity_size * world.substep_s;
+    let slight = SLIGHT * world.gravity_size * world.scene.dt;
     let mut acts = false;
     // The middles of patches first: they carry the load without turning anything.
     for (start, end) in [(0, middles), (middles, count)] {

@@ -253,15 +253,15 @@ fn energy(world: &World) -> f64 {
     world.slots.iter().enumerate().map(of).sum()
 }
 
-/// Eight balls and boxes are thrown into a corner that opens upwards. No later energy is above an earlier one by more than 1 % of the
-/// first. With a restitution of 1 it grows by up to 2.8 % here: bounces gain, as above, and nothing takes it away again. Without
-/// gravity balls gain none, and boxes up to 6.5 % by friction, which Newton's restitution does not bound.
+/// Eight balls and boxes are thrown into a corner that opens upwards. Without friction no later energy is above an earlier one by more than
+/// 0.1 % of the first below a restitution of 1, and with it by no more than 2 %: Newton's restitution does not bound what friction adds.
+/// With a restitution of 1 nothing takes away again what bounces gain.
 #[test]
 fn no_energy_comes_from_a_corner() {
     for (code, restitution) in [1.0, 10.0].into_iter().flat_map(|code| {
         [0.0, 0.25, 0.5, 0.75, 0.9, 1.0].map(|restitution: f32| (code, restitution))
     }) {
-        let (mut state, mut most) = (17, 0.0_f64);
+        let (mut state, mut most, mut smooth) = (17, 0.0_f64, 0.0_f64);
         for round in 0..6 {
             let mut world = World::new(code / 240.0);
             let normal = |k: u8| {
@@ -287,13 +287,18 @@ fn no_energy_comes_from_a_corner() {
             for _ in 0..(3.0 / world.dt) as usize {
                 world.go();
                 let now = energy(&world);
-                most = most.max((now - least) / began);
+                let most = if friction > 0.0 { &mut most } else { &mut smooth };
+                *most = most.max((now - least) / began);
                 least = least.min(now);
             }
         }
-        println!("corner, restitution {restitution}, code {code}: grows by {:.2} %", 100.0 * most);
-        let bound = if restitution < 1.0 { 0.01 } else { 0.05 };
-        assert!(most < bound, "{code} {restitution}: {most}");
+        println!(
+            "corner, restitution {restitution}, code {code}: grows by {:.2} %, without friction {:.2} %",
+            100.0 * most,
+            100.0 * smooth
+        );
+        let bounds = if restitution < 1.0 { [0.02, 0.001] } else { [0.05; 2] };
+        assert!(most < bounds[0] && smooth < bounds[1], "{code} {restitution}: {most} {smooth}");
     }
 }
 

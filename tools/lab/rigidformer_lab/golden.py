@@ -52,7 +52,7 @@ FEWER_STEPS = {"edge": 4, "tiny-impact": 14}
 ROLES_SEED = 0
 #: Of tiny-impulses: frames that the scene begins before the others', and its steps. Where edges meet, rounding decides between
 #: one contact and another: of the beginnings tried this is the one with most contacts where f32 and f64 choose alike.
-IMPULSES_START, IMPULSES_STEPS = -4.5, 6
+IMPULSES_START, IMPULSES_STEPS = -4.5, 5
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.

@@ -26,7 +26,6 @@ WAY = 1 / 32  # of a part, at most, of what closes in fast and touches, in radii
 SWEEPS = 18  # over all contacts in a step, of all parts together
 LEAST_SWEEPS = 4  # of a part
 SETTLING = 1  # sweeps after those, from what does not move upwards, each lower unit held
-SLIGHT = 1e-3  # smaller changes of velocity do not count, in gravity x dt: sweeps end where all are
 BOUNCING = 8  # sweeps in which contacts bounce
 PUSHES = 1  # sweeps that push overlaps apart, of a part
 KEEPS = 4  # sweeps that keep units apart at the end of a step
@@ -592,7 +591,7 @@ def _spin(w, s, light, inverse, c, k, impulse, hold_i, hold_j):
 
 
 @numba.njit(cache=True, nogil=True)
-def _prepare(w, s, light, inverse, c, count, old, old_count):
+def _prepare(w, s, light, inverse, c, count, old, old_count, part_share):
     """Weights and approaches; contacts that were there in the part before begin with their impulses."""
     for k in range(count):
         i, j = _moved(w, c.i[k]), w.lead[c.j[k]]
@@ -612,7 +611,8 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
             soft = np.dot(n, inverse[j] @ n) if light[j] > 0 else 0.0
             if i != PLANE and light[i] > 0:
                 soft += np.dot(n, inverse[i] @ n)
-            c.twist[k, 2] = 1.0 / (arm * arm * soft) if arm * arm * soft > 0 else 0.0
+            # A small patch turns freely, and keeps its friction for sliding.
+            c.twist[k, 2] = min(1.0 / (arm * arm * soft), c.weight[k, 1]) if arm * arm * soft > 0 else 0.0
         c.approach[k] = np.dot(_relative(w, s, c, k), c.axes[k, 0])
     first = 0  # both lists have their pairs in one order
     for k in range(count):
@@ -628,13 +628,13 @@ def _prepare(w, s, light, inverse, c, count, old, old_count):
             o += 1
         if which >= 0:
             old.held[which] = 1  # taken
-            c.impulse[k, 0] = old.impulse[which, 0]
-            rub = old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2]
+            c.impulse[k, 0] = part_share * old.impulse[which, 0]  # what rests has impulses as long as parts; what has hit has none
+            rub = part_share * (old.axes[which, 1] * old.impulse[which, 1] + old.axes[which, 2] * old.impulse[which, 2])
             c.impulse[k, 1], c.impulse[k, 2] = np.dot(rub, c.axes[k, 1]), np.dot(rub, c.axes[k, 2])
             whole = c.impulse[k] @ c.axes[k]
             _kick(w, s, light, inverse, c, k, whole[0], whole[1], whole[2], False, False)
             if c.middle[k]:
-                c.twist[k, 1] = old.twist[which, 1]
+                c.twist[k, 1] = part_share * old.twist[which, 1]
                 _spin(w, s, light, inverse, c, k, c.twist[k, 1], False, False)
 
 
@@ -683,9 +683,8 @@ def _carry(w, s, before, light, inverse, c, count, dt, h):
 
 
 @numba.njit(cache=True, nogil=True)
-def _sweep(w, s, light, inverse, c, count, dt, h, turn, settles, bounces):
-    """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone. Whether any matters."""
-    acts, slight = False, SLIGHT * _length(w.gravity) * dt
+def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
+    """One impulse at each contact: what takes the approach that the gap does not allow, and friction within its cone."""
     for place in range(2 * count):
         # The middles of patches first: they carry the load without turning anything.
         middles, rank = place < count, place % count
@@ -705,7 +704,6 @@ def _sweep(w, s, light, inverse, c, count, dt, h, turn, settles, bounces):
         more = along - c.impulse[k, 0]
         _kick(w, s, light, inverse, c, k, n[0] * more, n[1] * more, n[2] * more, hold_i, hold_j)
         c.impulse[k, 0] = along
-        acts |= abs(more) > slight * weight
         if along <= 0 and c.impulse[k, 1] == 0 and c.impulse[k, 2] == 0 and c.twist[k, 1] == 0:
             continue
         seen, u, v, twist = _relative(w, s, c, k), c.axes[k, 1], c.axes[k, 2], 0.0
@@ -723,16 +721,12 @@ def _sweep(w, s, light, inverse, c, count, dt, h, turn, settles, bounces):
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
         if size > most:
             a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
-        braked = 0.0
         if c.middle[k]:
-            braked = abs(twist - c.twist[k, 1])
             _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
             c.twist[k, 1] = twist
         f, g = a - c.impulse[k, 1], b - c.impulse[k, 2]
-        acts |= abs(more) + abs(f) + abs(g) + braked > slight * weight
         _kick(w, s, light, inverse, c, k, u[0] * f + v[0] * g, u[1] * f + v[1] * g, u[2] * f + v[2] * g, hold_i, hold_j)
         c.impulse[k, 1], c.impulse[k, 2] = a, b
-    return acts
 
 
 @numba.njit(cache=True, nogil=True)
@@ -893,7 +887,7 @@ def advance(w, s, dt, parts, c, old):
         slow = REST * drop * dt
         rest[lead] = max(rest[lead], slow + min(slow, ROUNDING * np.abs(s.centre[unit]).max() / dt))
     count = most = 0
-    left, part = TICKS * parts, 0
+    left, part, last = TICKS * parts, 0, TICKS
     there = Motion(s.rotation, s.centre, s.velocity.copy(), s.spin.copy())  # motion at the units' own centres
     before = s.velocity.copy()
     while left > 0:
@@ -951,15 +945,14 @@ def advance(w, s, dt, parts, c, old):
                     before[unit] -= w.gravity * (0.5 * dt)
                 if level[unit] == FAR:
                     speed[unit] = np.inf  # at the top of a bounce it is slow, and does not rest
-        _prepare(w, s, light, inverse, c, count, old, kept)
+        _prepare(w, s, light, inverse, c, count, old, kept, min(ticks / last, 1.0))
+        last = ticks
         if part == 0:
             _carry(w, s, before, light, inverse, c, count, dt, h)
         for turn in range(max(LEAST_SWEEPS, SWEEPS // parts)):
-            if not _sweep(w, s, light, inverse, c, count, dt, h, turn, False, False):
-                break
+            _sweep(w, s, light, inverse, c, count, h, turn, False, False)
         for _ in range(SETTLING * ticks // TICKS):
-            if not _sweep(w, s, light, inverse, c, count, dt, h, 1, True, False):
-                break
+            _sweep(w, s, light, inverse, c, count, h, 1, True, False)
         touched_now[:] = False
         bounces = False
         for k in range(count):
@@ -979,8 +972,7 @@ def advance(w, s, dt, parts, c, old):
             _turn(s.spin[lead] * h, s.rotation[unit])
         if bounces:
             for turn in range(BOUNCING):
-                if not _sweep(w, s, light, inverse, c, count, dt, h, turn, False, True):
-                    break
+                _sweep(w, s, light, inverse, c, count, h, turn, False, True)
         _push_apart(w, s, light, inverse, c, count, SHARE * ticks / TICKS, touched)
         left, part = left - ticks, part + 1
     share = np.zeros(units)

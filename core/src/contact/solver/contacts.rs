@@ -719,7 +719,10 @@ impl<'r> Contacts<'r> {
             if contact.is_middle {
                 let arm = patch.mean_arm(&pair.normal);
                 let soft = to.turn_along(&pair.normal) + from.turn_along(&pair.normal);
-                contact.tangent = Vector3::new(arm, 0.0, weight(arm * arm * soft));
+                let [_, across, _] = contact.weight;
+                // A small patch turns freely, and keeps its friction for sliding.
+                let heavy = weight(arm * arm * soft).min(across);
+                contact.tangent = Vector3::new(arm, 0.0, heavy);
             }
             if let Some(spring) = &spring {
                 contact.give_way(spring, world.substep_s);

@@ -6,7 +6,7 @@ use crate::geometry::{dot, norm, opposite};
 use crate::math;
 use nalgebra::Vector3;
 
-/// Sweeps over all contacts in a step, of all substeps together: a bound on time.
+/// Sweeps over all contacts in a step, of all substeps together, but for those that are cut.
 const SWEEPS: u8 = 18;
 /// Sweeps of a substep, at least: with fewer, impulses do not get through a stack.
 const LEAST_SWEEPS: u8 = 4;
@@ -107,7 +107,7 @@ pub(super) fn shorten(
         if contact.from.is_some_and(falls) {
             before += pull;
         }
-        contact.rebound *= positive(closing) / before;
+        contact.rebound *= if before > 0.0 { positive(closing) / before } else { 0.0 };
         contact.write(row);
     }
 }
@@ -115,7 +115,14 @@ pub(super) fn shorten(
 /// Contacts that were there in the substep before begin with their impulses. Of several that are close enough the closest
 /// one counts, and each counts once.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+pub(super) fn warm_start(
+    world: &World<'_>,
+    bodies: &mut Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+    before: u16,
+) {
+    // What rests has impulses as long as substeps; what has hit has none in the next.
+    let share = f32::from(world.ticks.min(before)) / f32::from(before);
     let (rows, olds) = contacts.both();
     // Both lists have their pairs in one order.
     let mut first = 0;
@@ -143,17 +150,18 @@ pub(super) fn warm_start(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &
         }
         let Some((number, old)) = found else { continue };
         // An impulse that two contacts begin with would act twice.
-        if let Some([along, ..]) = olds.get_mut(number) {
-            *along = 0.0;
+        if let Some([taken, ..]) = olds.get_mut(number) {
+            *taken = 0.0;
         }
         let [n, t, b] = contact.axes();
         // Along the old normal is the impulse of its twist.
-        let twist = dot(&old.rub, &old.normal);
-        let rub = old.rub - old.normal * twist;
+        let (along, rub) = (old.along * share, old.rub * share);
+        let twist = dot(&rub, &old.normal);
+        let rub = rub - old.normal * twist;
         let [across, aside] = [dot(&rub, &t), dot(&rub, &b)];
-        contact.impulse = [old.along, across, aside];
+        contact.impulse = [along, across, aside];
         Contact::write_impulse(&contact.impulse, row);
-        let impulse = (n * old.along + t * across) + b * aside;
+        let impulse = (n * along + t * across) + b * aside;
         let [mut from, mut to] = movers(bodies, &contact);
         let [own, other] = &contact.arms;
         to.apply_impulse(other, &impulse);
@@ -267,13 +275,7 @@ fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
 
-/// Smaller changes of velocity do not count, in gravity x dt: sweeps end where all are.
-const SLIGHT: f32 = 1e-3;
-
-/// What a sweep is for, seconds of the substep, and changes of velocity that do not count, m/s.
-type Aim = (Goal, f32, f32);
-
-/// Lets each unit carry what is above it, downwards, as if what is below stood still: what rests on patches does so after one sweep. A
+/// Lets each unit carry what is above it, downwards, as if what is below moved as before the substep: what rests on patches does so after one sweep. A
 /// step remembers no impulses of the one before.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
@@ -368,14 +370,13 @@ fn sweep(
     (goal, upwards): (Goal, bool),
 ) -> bool {
     let (count, middles) = (contacts.rows().len(), contacts.middles());
-    let slight = SLIGHT * world.gravity_size * world.scene.dt;
     let mut acts = false;
     // The middles of patches first: they carry the load without turning anything.
     for (start, end) in [(0, middles), (middles, count)] {
         for place in start..end {
             let place = if upwards { place } else { start + (end - 1 - place) };
             let Some(row) = contacts.swept(place) else { continue };
-            let aim = (goal, world.substep_s, slight);
+            let aim = (goal, world.substep_s);
             acts |= if Contact::is_on_plane(row) {
                 resolve_on_plane(bodies, row, aim)
             } else {
@@ -393,7 +394,7 @@ fn normal_impulse(
     contact: &Contact,
     leaving: &Vector3<f32>,
     heavy: f32,
-    (goal, substep_s, _): Aim,
+    (goal, substep_s): (Goal, f32),
 ) -> Option<f32> {
     let [before, across, aside] = contact.impulse;
     if contact.gives_way() {
@@ -432,13 +433,8 @@ fn positive(number: f32) -> f32 {
 /// Lets friction act within what `along` allows: against sliding, and at the middle of a patch against a spin about the normal too. The
 /// first unit is [`Mover::STILL`] for a plane.
 #[inline]
-fn rub(
-    contact: &Contact,
-    along: f32,
-    [from, to]: [&mut Mover; 2],
-    row: &mut [f32; CONTACT],
-) -> f32 {
-    let ([n, t, b], [before, across, aside]) = (contact.axes(), contact.impulse);
+fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f32; CONTACT]) {
+    let ([n, t, b], [_, across, aside]) = (contact.axes(), contact.impulse);
     let ([own, other], [_, heavy_across, heavy_aside]) = (&contact.arms, contact.weight);
     let [arm, twist, heavy] = contact.twist().unwrap_or_default();
     let (mut r, mut sliding) = (0.0, to.speed_at(other) - from.speed_at(own));
@@ -465,13 +461,12 @@ fn rub(
         from.twist(&opposite(&turn));
         Contact::write_twist(r, row);
     }
-    (along - before).abs() + ((p - across).abs() + (q - aside).abs()) + (r - twist).abs()
 }
 
 /// What takes the approach of two units, and friction within its cone. Whether there is any.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim) -> bool {
-    let (goal, _, slight) = aim;
+fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
+    let (goal, _) = aim;
     let contact = Contact::read(row);
     let ([own, other], [mut heavy, ..]) = (&contact.arms, contact.weight);
     let [before, ..] = contact.impulse;
@@ -499,16 +494,16 @@ fn resolve(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim) -> bool 
     let push = n * (along - before);
     to.apply_impulse(other, &push);
     from.apply_impulse(own, &opposite(&push));
-    let changed = rub(&contact, along, [&mut from, &mut to], row);
+    rub(&contact, along, [&mut from, &mut to], row);
     bodies.moves(number, &from);
     bodies.moves(contact.to, &to);
-    changed > slight * heavy
+    true
 }
 
 /// As [`resolve`], for a unit on a plane, which nothing moves: the same numbers for half of the work.
 #[inline]
-fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim) -> bool {
-    let (goal, _, slight) = aim;
+fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: (Goal, f32)) -> bool {
+    let (goal, _) = aim;
     let contact = Contact::read(row);
     let ([_, arm], [heavy, ..]) = (&contact.arms, contact.weight);
     let [before, ..] = contact.impulse;
@@ -522,9 +517,9 @@ fn resolve_on_plane(bodies: &mut Bodies<'_>, row: &mut [f32; CONTACT], aim: Aim)
     let (n, [before, ..]) = (contact.normal, contact.impulse);
     let Some(mut to) = bodies.find(contact.to) else { return false };
     to.apply_impulse(arm, &(n * (along - before)));
-    let changed = rub(&contact, along, [&mut { Mover::STILL }, &mut to], row);
+    rub(&contact, along, [&mut { Mover::STILL }, &mut to], row);
     bodies.moves(contact.to, &to);
-    changed > slight * heavy
+    true
 }
 
 /// Marks the units that impulses have moved. Whether any contact bounces.

@@ -1,7 +1,7 @@
 //! Rigid motion with contact by sequential impulses (docs/CONTACT.md): what an engine that knows hulls, masses, frictions
 //! and restitutions would do in a step. The twin of the lab's `solver`.
 //!
-//! A step here is a substep of the simulator's step; the solver divides it again, into equal substeps of its own. In each
+//! A step here is a substep of the simulator's step; the solver divides it again, into equal substeps of its own, which fast approaches cut. In each
 //! gravity changes velocities, contacts are found, impulses take the approaches that gaps do not allow, units move, fast
 //! approaches bounce, and overlaps are pushed apart. All in one order, and in levers from the units' centres, so that
 //! nothing is lost far from the origin.
@@ -119,7 +119,7 @@ fn in_substeps<S: Schedule>(
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
     let step = world;
-    let (mut left, mut taken) = (TICKS * u16::from(step.substeps), 0);
+    let (mut left, mut taken, mut before) = (TICKS * u16::from(step.substeps), 0, TICKS);
     while left > 0 {
         let mut part = step.part(left.min(TICKS));
         let world = &part;
@@ -162,7 +162,8 @@ fn in_substeps<S: Schedule>(
             }
             bodies.count(contacts.rows().iter().map(|row| contacts::Contact::read(row).to));
         }
-        impulses::warm_start(world, bodies, contacts);
+        impulses::warm_start(world, bodies, contacts, before);
+        before = world.ticks;
         impulses::rank(world, bodies, contacts);
         if taken == 0 {
             bodies.hold(world);
@@ -210,7 +211,7 @@ fn carve<'r>(
     (bodies, Contacts::new(others, CONTACTS * count))
 }
 
-/// Parts that a step is taken in.
+/// Parts that a step is taken in, at least.
 fn substeps(dt: f32) -> u8 {
     let mut substeps = 1;
     while substeps < MOST_SUBSTEPS && f32::from(substeps) < dt * SUBSTEPS_HZ - SLACK {

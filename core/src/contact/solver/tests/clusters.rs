@@ -267,7 +267,9 @@ fn broken_bonds_let_units_go() {
         if holds {
             assert!(heights[2] < 0.3, "{heights:?}");
         } else {
-            assert!((heights[0] - 0.5).abs() < 2e-3 && heights[1] < 0.12, "{heights:?}");
+            // The others fall, and may lean on what the first stands on.
+            let falls = heights[1] < 0.3 && heights[2] < 0.2;
+            assert!((heights[0] - 0.5).abs() < 2e-3 && falls, "{heights:?}");
         }
     }
 }

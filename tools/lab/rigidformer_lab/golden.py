@@ -52,12 +52,12 @@ FEWER_STEPS = {"edge": 4, "tiny-impact": 14}
 ROLES_SEED = 0
 #: Of tiny-impulses: frames that the scene begins before the others', and its steps. Where edges meet, rounding decides between
 #: one contact and another: of the beginnings tried this is the one with most contacts where f32 and f64 choose alike.
-IMPULSES_START, IMPULSES_STEPS = -4.5, 5
+IMPULSES_START, IMPULSES_STEPS = -5.0, 6
 #: Of tiny-similar: what lengths and gravity are multiplied by. Times follow.
 SIMILAR_LENGTH, SIMILAR_GRAVITY, SIMILAR_MASS = 0.11, 0.7, 0.02
 #: The cases of the scene with all roles, and how much of it they have.
 ROLES = {"tiny-roles": 12, "tiny-similar": 12, "tiny-impulses": IMPULSES_STEPS, "tiny-carried": 12, "tiny-joints": 12,
-         "tiny-bonds": IMPULSES_STEPS, "tiny-breaking": IMPULSES_STEPS, "tiny-near": IMPULSES_STEPS}  # fmt: skip
+         "tiny-bonds": IMPULSES_STEPS, "tiny-breaking": IMPULSES_STEPS, "tiny-near": 5}  # fmt: skip
 #: Those that have the model of another.
 SHARED = {"tiny-joints": "tiny-similar", "tiny-bonds": "tiny-impulses", "tiny-near": "tiny-impulses"}
 #: Of tiny-bonds: pairs that hold together, all of one body, and the frames that the scene begins before the others': chosen as that of

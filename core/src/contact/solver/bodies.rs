@@ -1,6 +1,5 @@
 //! The world that the solver works in, and units as it moves them.
 
-use super::TICKS;
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -29,6 +28,8 @@ const HELD: f32 = 0.1;
 const REST: f32 = 0.02;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
+/// Parts of a substep that it may be cut by: a power of two, so that a whole one is a share of the step to the bit.
+pub(super) const TICKS: u16 = 16;
 /// Share of an overlap that a substep pushes away. All at once would throw stacks that several contacts hold. More substeps push less
 /// each.
 const PUSHED: f32 = 0.5;

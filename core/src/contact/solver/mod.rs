@@ -19,7 +19,7 @@ use crate::kernels::Schedule;
 use crate::scene::{Role, Scene, UnitSlot};
 pub(crate) use apart::keep_apart;
 pub(crate) use bodies::PRIOR;
-use bodies::{Bodies, FAR, Touched, World};
+use bodies::{Bodies, FAR, TICKS, Touched, World};
 use contacts::Contacts;
 #[cfg(rigidformer_host)]
 use contacts::SLOTS;
@@ -41,8 +41,6 @@ const SUBSTEPS_HZ: f32 = 144.0;
 const MOST_SUBSTEPS: u8 = 16;
 /// And with them.
 const MOST_CUT_SUBSTEPS: u8 = 32;
-/// Parts of a substep that it may be cut by: a power of two, so that a whole one is a share of the step to the bit.
-const TICKS: u16 = 16;
 /// A step may be longer by this share of a substep: 6 / 144 s are six of them in f32 too.
 const SLACK: f32 = 0.01;
 /// Greater turns of a step are cut, radians: from half a turn on, the way there is shorter the other way round.

@@ -33,7 +33,7 @@ pub(super) const CEILINGS: &[Ceiling] = &[
     ("drape.stack", 26.0 * 1024.0),
     // 20 of them for hulls and impacts, 35 for contact by impulses and for scenes in their own length, 6 for motion that is exact at any
     // step and place (docs/FIRMWARE.md).
-    ("runtime.text", 132.0 * 1024.0),
+    ("runtime.text", 140.0 * 1024.0),
 ];
 /// The same for kernels that are made for the processor.
 pub(super) const NATIVE_CEILINGS: &[Ceiling] = &[

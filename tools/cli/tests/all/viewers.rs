@@ -241,7 +241,7 @@ fn messages(bytes: &[u8]) -> impl Iterator<Item = mcap::Message<'static>> {
 #[test]
 fn mcap_has_looks_once_and_the_bits_of_the_rollout() {
     // So many frames that some see units touch.
-    let rollout = Rollout::new(&["--step", "5"]);
+    let rollout = Rollout::new(&["--step", "1"]);
     let bytes = fs::read(rollout.path("scene.mcap")).unwrap();
     let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
     assert!(!summary.chunk_indexes.is_empty() && !summary.metadata_indexes.is_empty());

@@ -23,7 +23,7 @@ MOST_PARTS = 16
 MOST_CUT_PARTS = 32  # where fast approaches cut parts
 TICKS = 16  # of a part: it may be cut to so many of them
 WAY = 1 / 32  # of a part, at most, of what closes in fast and touches, in radii of the smaller unit
-SWEEPS = 18  # over all contacts in a step, of all parts together
+SWEEPS = 18  # over all contacts in a step, of all parts together, but for those that are cut
 LEAST_SWEEPS = 4  # of a part
 SETTLING = 1  # sweeps after those, from what does not move upwards, each lower unit held
 BOUNCING = 8  # sweeps in which contacts bounce
@@ -863,7 +863,7 @@ def _speed(radius, s, unit):
 
 @numba.njit(cache=True, nogil=True)
 def advance(w, s, dt, parts, c, old):
-    """Advances a scene by dt seconds in equal parts, at least so many, in place. c and old: room for contacts, from `room`. Units that are
+    """Advances a scene by dt seconds in equal parts, which fast approaches cut, in place. c and old: room for contacts, from `room`. Units that are
     not free go on as their velocity and spin say, whatever they meet.
 
     Clusters come with the mean motion of their units, by mass, and end with each unit's own.

@@ -92,7 +92,7 @@ pub(super) struct World<'s> {
     pub(super) units: &'s [UnitSlot],
     pub(super) scene: &'s Scene<'s>,
     /// Gravity without its direction, m/s^2.
-    pub(super) gravity_size: f32,
+    gravity_size: f32,
     /// Substeps of the step.
     pub(super) substeps: u8,
     /// Of the one at hand.
@@ -401,7 +401,7 @@ impl<'s> World<'s> {
     }
 
     /// What gravity adds to the velocity of free units in a substep, m/s.
-    pub(super) fn gravity_velocity_change(&self) -> Vector3<f32> {
+    fn gravity_velocity_change(&self) -> Vector3<f32> {
         self.scene.gravity * self.substep_s
     }
 

@@ -71,8 +71,8 @@ pub(super) struct Contact {
     /// changes of the impulse of its spring and damper, kg.
     pub(super) rebound: f32,
     pub(super) normal: Vector3<f32>,
-    /// The first tangent; of the middle of a patch what brakes a spin about the normal: the mean arm of the corners (m), the impulse at that
-    /// arm (N s), and its weight (kg).
+    /// The first tangent; of the middle of a patch what brakes a spin about the normal: the mean arm of the corners (m), the impulse
+    /// at that arm (N s), and its weight (kg).
     pub(super) tangent: Vector3<f32>,
     /// Impulse for a change of velocity along the normal and both tangents, kg.
     pub(super) weight: [f32; 3],

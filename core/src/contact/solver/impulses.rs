@@ -275,8 +275,8 @@ fn stiffness(bodies: &Bodies<'_>, contact: &Contact, held: Held) -> f32 {
     if moves > 0.0 { (from + to) / moves } else { 1.0 }
 }
 
-/// Lets each unit carry what is above it, downwards, as if what is below moved as before the substep: what rests on patches does so after one sweep. A
-/// step remembers no impulses of the one before.
+/// Lets each unit carry what is above it, downwards, as if what is below moved as before the substep: what rests on patches does so
+/// after one sweep. A step remembers no impulses of the one before.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
     contacts.rest_on_nothing(world.units.len());

@@ -1,8 +1,8 @@
 //! Rigid motion with contact by sequential impulses (docs/CONTACT.md): what an engine that knows hulls, masses, frictions
 //! and restitutions would do in a step. The twin of the lab's `solver`.
 //!
-//! A step here is a substep of the simulator's step; the solver divides it again, into equal substeps of its own, which fast approaches cut. In each
-//! gravity changes velocities, contacts are found, impulses take the approaches that gaps do not allow, units move, fast
+//! A step here is a substep of the simulator's step; the solver divides it again, into equal substeps of its own, which fast approaches
+//! cut. In each gravity changes velocities, contacts are found, impulses take the approaches that gaps do not allow, units move, fast
 //! approaches bounce, and overlaps are pushed apart. All in one order, and in levers from the units' centres, so that
 //! nothing is lost far from the origin.
 

@@ -608,7 +608,7 @@ pub(crate) struct Scene<'s> {
     pub(crate) dt: f32,
     /// Substeps that a step is taken in, at least 1.
     pub(crate) substeps: u32,
-    /// Numbers of a unit that impulses take besides: [`EXTRA`](crate::contact::prior::EXTRA) or 0.
+    /// Numbers of a unit that impulses take besides: [`extra`](crate::contact::prior::extra) or 0.
     #[cfg(rigidformer_host)]
     pub(crate) extra: usize,
     #[cfg(feature = "deform")]

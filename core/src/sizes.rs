@@ -205,8 +205,8 @@ impl Sizes {
             scales: c.scales.len(),
             outputs: c.motion.outputs(),
             solved: if c.motion.has_impulses() {
-                let extra = if layout.index { prior::EXTRA } else { 0 };
-                prior::SOLVED + extra + BOND_ROOM + near * NEAR_ROOM
+                let extra = if layout.index { prior::extra(limits.units) } else { 0 };
+                prior::solved_numbers(limits.units) + extra + BOND_ROOM + near * NEAR_ROOM
             } else {
                 0
             },

@@ -67,47 +67,77 @@ impl TwoFrames {
         }
     }
 
-    /// `contact`: two recorded frames of ten units that collide, those of the edge model's golden file.
-    /// `flight`: the same units, 40 m apart and 300 m up, spinning.
-    pub fn generate(name: &str) -> Self {
-        let golden = Golden::read("edge");
-        let inputs = golden.inputs();
-        assert_eq!(inputs.points.len(), UNITS);
-        let dt = golden.step as f32 / 240.0;
-        let mut scene = TwoFrames {
-            step: golden.step,
-            physics: inputs.physics,
-            previous: vec![],
-            current: vec![],
+    /// The first scene of bodies.
+    pub fn of(bodies: &Bodies) -> Self {
+        let Bodies { step, physics, points, scenes: [contact, _] } = bodies;
+        let frame = |poses: &Vec<Isometry3<f32>>| {
+            let units = points.iter().zip(poses);
+            units.map(|(unit, pose)| unit.iter().map(|point| pose * point).collect()).collect()
         };
-        let recorded = inputs.previous.into_iter().zip(inputs.current);
-        for (unit, (points, recorded)) in inputs.points.into_iter().zip(recorded).enumerate() {
-            let (column, layer) = ((unit % 5) as f32, (unit / 5) as f32);
-            // So far apart that no two units are near each other, and so high that none lands.
-            let at = Vector3::new(40.0 * column, 40.0 * layer, 300.0);
-            let velocity = Vector3::new(0.8 - 0.4 * column, 0.6, -0.2 * layer);
-            let spin = Vector3::new(0.5, -0.25, 1.5) * (column - 2.0);
-            let pose = |after: f32| {
-                let turn = UnitQuaternion::from_scaled_axis(spin * after);
-                Isometry3::from_parts(Translation3::from(at + velocity * after), turn)
-            };
-            let (before, now) = if name == "flight" { (pose(0.0), pose(dt)) } else { recorded };
-            let points = filled(points);
-            let frame = |pose: Isometry3<f32>| points.iter().map(|p| pose * p).collect();
-            scene.previous.push(frame(before));
-            scene.current.push(frame(now));
-        }
-        scene
+        let [previous, current] = contact.each_ref().map(frame);
+        TwoFrames { step: *step, physics: physics.clone(), previous, current }
     }
 }
 
-/// As many points as firmware makes room for: points half way between neighbours in the list are added.
-fn filled(mut points: Vec<Point3<f32>>) -> Vec<Point3<f32>> {
-    let between: Vec<_> =
-        points.windows(2).map(|pair| nalgebra::center(&pair[0], &pair[1])).collect();
-    // Points between neighbours lie within the hull and change no contact.
-    points.extend(between.iter().take(POINTS.saturating_sub(points.len())));
-    points
+/// Scenes of [`Bodies`]: two recorded frames of ten units that collide, and the same units far apart and high up, spinning.
+pub const SCENES: [&str; 2] = ["contact", "flight"];
+
+/// Bodies, and their poses in two frames of two scenes. The layout of a file is where that of [`TwoFrames`] is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Bodies {
+    /// Native frames between them.
+    pub step: u32,
+    /// (units)
+    pub physics: Vec<Physics>,
+    /// (units, points) in the unit's own frame, metres.
+    pub points: Vec<Vec<Point3<f32>>>,
+    /// (scenes, frames, units)
+    pub scenes: [[Vec<Isometry3<f32>>; 2]; 2],
+}
+
+impl Bodies {
+    /// The file's bytes.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let counts = [self.step, self.physics.len() as u32, POINTS as u32];
+        let physics = self.physics.iter().flat_map(|p| [p.mass_kg, p.friction, p.restitution]);
+        let points = self.points.iter().flatten().flat_map(|p| [p.x, p.y, p.z]);
+        let poses = self.scenes.iter().flatten().flatten().flat_map(|pose| {
+            let (p, q) = (pose.translation.vector, pose.rotation.quaternion());
+            [p.x, p.y, p.z, q.w, q.i, q.j, q.k]
+        });
+        let numbers = physics.chain(points).chain(poses);
+        let words = counts.into_iter().chain(numbers.map(f32::to_bits));
+        words.flat_map(u32::to_le_bytes).collect()
+    }
+
+    /// From a file's bytes.
+    pub fn from_bytes(bytes: &[u8]) -> Self {
+        let (words, _) = bytes.as_chunks::<4>();
+        let words: Vec<u32> = words.iter().copied().map(u32::from_le_bytes).collect();
+        let (counts, rest) = words.split_at(3);
+        let (step, units, points) = (counts[0], counts[1] as usize, counts[2] as usize);
+        let numbers: Vec<f32> = rest.iter().copied().map(f32::from_bits).collect();
+        let (physics, rest) = numbers.split_at(3 * units);
+        let (points, poses) = {
+            let (all, poses) = rest.split_at(3 * units * points);
+            let all: Vec<_> =
+                all.as_chunks().0.iter().map(|p: &[f32; 3]| Point3::from(*p)).collect();
+            (all.chunks_exact(points).map(<[_]>::to_vec).collect(), poses)
+        };
+        let mut poses = poses.as_chunks().0.iter().map(|[x, y, z, w, i, j, k]| {
+            let rotation = UnitQuaternion::new_unchecked(Quaternion::new(*w, *i, *j, *k));
+            Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation)
+        });
+        let physics = physics.as_chunks().0.iter();
+        let physics = physics.map(|[mass_kg, friction, restitution]| Physics {
+            mass_kg: *mass_kg,
+            friction: *friction,
+            restitution: *restitution,
+        });
+        let mut frame = || poses.by_ref().take(units).collect();
+        let scenes = core::array::from_fn(|_| core::array::from_fn(|_| frame()));
+        Bodies { step, physics: physics.collect(), points, scenes }
+    }
 }
 
 /// Steps of an image, and what it must print about them: lines of poses as bits, then a hash over all steps.
@@ -167,6 +197,30 @@ pub fn rollout(file: &[u8], name: &str, scene: &TwoFrames, steps: usize) -> Stri
         rollout.step(&mut simulator);
     }
     rollout.text(&simulator, name)
+}
+
+/// What the image `rollout` must print of its scenes, `steps` steps each.
+pub fn rollouts(file: &[u8], bodies: &Bodies, steps: usize) -> String {
+    let model = Model::load(file).expect("model loads");
+    let mut room = Room::new(SlabSizes::new(model.config(), LIMITS));
+    let mut simulator = Simulator::new(&model, LIMITS, room.slabs()).expect("simulator");
+    let mut text = String::new();
+    for (name, [previous, current]) in SCENES.iter().zip(&bodies.scenes) {
+        let poses = previous.iter().zip(current);
+        let units = bodies.points.iter().zip(&bodies.physics).zip(poses);
+        let units = units.map(|((points, physics), (previous, current))| Posed {
+            unit: Unit::new(points, *physics),
+            previous: *previous,
+            current: *current,
+        });
+        simulator.observe_poses(seconds(bodies.step), units).expect("observation");
+        let mut rollout = Rollout::default();
+        for _ in 0..steps {
+            rollout.step(&mut simulator);
+        }
+        text += &rollout.text(&simulator, name);
+    }
+    text
 }
 
 /// What the image `robot` must print.
@@ -486,10 +540,13 @@ mod tests {
 
     #[test]
     fn scenes_survive_their_files() {
-        for name in ["contact", "flight"] {
-            let scene = TwoFrames::generate(name);
-            assert_eq!(TwoFrames::from_bytes(&scene.to_bytes()), scene);
-            assert!(scene.previous.iter().chain(&scene.current).all(|unit| unit.len() == POINTS));
-        }
+        let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware-sim/firmware/scenes");
+        let read = |name| std::fs::read(format!("{folder}/{name}")).expect("the scene");
+        let bodies = Bodies::from_bytes(&read("bodies.bin"));
+        assert_eq!(bodies.to_bytes(), read("bodies.bin"));
+        assert!(bodies.points.iter().all(|unit| unit.len() == POINTS));
+        let scene = TwoFrames::of(&bodies);
+        assert_eq!(scene.to_bytes(), read("contact.bin"));
+        assert_eq!(TwoFrames::from_bytes(&scene.to_bytes()), scene);
     }
 }

@@ -8,10 +8,16 @@ use crate::network::features::{CLAMP, Row};
 use crate::scene::Scene;
 use crate::slices::{slice_at, slice_at_mut};
 
-/// Numbers of a unit that motion by impulses takes: what it comes to, and what that is worked out in.
-pub(crate) const SOLVED: usize = solver::PRIOR + solver::SCRATCH;
+/// Numbers of a unit, in a copy of so many, that motion by impulses takes: what it comes to, and what that is worked out in.
+pub(crate) const fn solved_numbers(units: usize) -> usize {
+    solver::PRIOR + solver::scratch(units)
+}
+
 /// And where layouts have an index.
-pub(crate) const EXTRA: usize = solver::EXTRA;
+pub(crate) const fn extra(units: usize) -> usize {
+    solver::extra(units)
+}
+
 /// About how many multiplications a unit takes: decides whether threads share copies.
 const SOLVED_COST: usize = 128 << 10;
 
@@ -27,12 +33,9 @@ pub(crate) struct Solved {
 #[inline]
 fn numbers(scene: &Scene<'_>) -> usize {
     #[cfg(rigidformer_host)]
-    return SOLVED + scene.extra;
+    return solved_numbers(scene.per_copy) + scene.extra;
     #[cfg(not(rigidformer_host))]
-    {
-        let _ = scene;
-        SOLVED
-    }
+    solved_numbers(scene.per_copy)
 }
 
 /// Moves all units by impulses into `all`, (copies, [`numbers`] a unit).

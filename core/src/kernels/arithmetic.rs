@@ -2,6 +2,8 @@
 //! implementation must equal it bit for bit.
 
 use super::attention::{Attention, Lanes, TOGETHER};
+#[cfg(rigidformer_host)]
+use super::sweep::{Block, Goal, Motion};
 use crate::geometry::{Index, Pose};
 use crate::limits::ANCHORS;
 use crate::math;
@@ -38,6 +40,10 @@ pub trait Kernels: Copy + Sync {
 
     /// Queries that [`attend`](Self::attend) takes together; scratch grows with it.
     const QUERIES: usize = 1;
+
+    /// Whether [`sweep`](Self::sweep) over blocks is faster than impulses one after the other. The bits are the same.
+    #[cfg(rigidformer_host)]
+    const SWEEPS: bool = false;
 
     /// out = x wᵀ + bias.
     ///
@@ -315,6 +321,12 @@ pub trait Kernels: Copy + Sync {
     #[inline(always)]
     fn nearest_of_leaf(self, index: &Index<'_>, row: usize, answers: &mut [f32]) {
         crate::geometry::index::nearest(index, row, answers);
+    }
+
+    /// A sweep of impulses over blocks of contacts, upwards or downwards. Whether any contact had one.
+    #[cfg(rigidformer_host)]
+    fn sweep(self, blocks: &mut [Block], motions: &mut [Motion], aim: (Goal, bool)) -> bool {
+        super::sweep::sweep::<f32>(blocks, motions, aim)
     }
 }
 

@@ -10,6 +10,7 @@ mod helium;
 mod portable;
 mod schedule;
 mod storage;
+mod sweep;
 mod together;
 
 pub use arithmetic::{Kernels, LANES, Rows};
@@ -31,4 +32,9 @@ pub use portable::Portable;
 pub use portable::Portable as Native;
 pub use schedule::{Divisible, Schedule, Serial};
 pub(crate) use storage::Storage;
+pub use sweep::Goal;
+#[cfg(rigidformer_host)]
+pub use sweep::{Block, Lane, Motion, Vector, WIDE, sweep};
+#[cfg(rigidformer_host)]
+pub(crate) use sweep::{FIELDS, NOBODY, at, put};
 pub use together::attend_together;

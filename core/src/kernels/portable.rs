@@ -142,6 +142,8 @@ fn dot_i8(lhs: &[i8], rhs: &[i8]) -> i32 {
 
 impl Kernels for Portable {
     const NAME: &'static str = "portable";
+    #[cfg(rigidformer_host)]
+    const SWEEPS: bool = cfg!(test);
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {
         linear_wide(x, weight, bias, inputs, out);

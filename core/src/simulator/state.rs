@@ -152,8 +152,9 @@ impl<'m, 's> Simulator<'m, 's> {
         #[cfg(feature = "deform")]
         let (bonds, lasting) = {
             let crate::workspace::Lasting { solved, .. } = lasting;
-            let extra = if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 };
-            let motion = crate::contact::prior::SOLVED + extra;
+            let extra =
+                if sizes.layout.index { crate::contact::prior::extra(limits.units) } else { 0 };
+            let motion = crate::contact::prior::solved_numbers(limits.units) + extra;
             let motion = if sizes.solved > 0 { sizes.units * motion } else { 0 };
             let (solved, room) = solved.split_at_mut(motion.min(solved.len()));
             let bonds = if sizes.solved > 0 { limits.units * BONDS } else { 0 };
@@ -177,7 +178,11 @@ impl<'m, 's> Simulator<'m, 's> {
                 dt: 0.0,
                 substeps: 1,
                 #[cfg(rigidformer_host)]
-                extra: if sizes.layout.index { crate::contact::prior::EXTRA } else { 0 },
+                extra: if sizes.layout.index {
+                    crate::contact::prior::extra(limits.units)
+                } else {
+                    0
+                },
                 #[cfg(feature = "deform")]
                 soft,
             },

@@ -1,11 +1,11 @@
 //! The rollout that boards and this machine are compared by.
 
 use defmt::Display2Format;
-use rigidformer_core::{Model, Simulator, UnitView};
+use rigidformer_core::{Model, Observation, ObserveError, Simulator, UnitView};
 
 use crate::counter::Counter;
 use crate::memory::CONFIG;
-use crate::scene::Scene;
+use crate::scene::{Bodies, Scene};
 use crate::stages::{NAMES, Stages};
 
 /// The simulator of these images.
@@ -26,7 +26,21 @@ pub fn load(file: &'static [u8]) -> Result<Model<'static>, &'static str> {
 
 /// Observes a scene.
 pub fn observe(board: &mut Board<'_>, scene: &Scene) -> Result<(), &'static str> {
-    match board.observe(scene.seconds(), scene.units()) {
+    observed(board.observe(scene.seconds(), scene.units()))
+}
+
+/// Observes bodies in a scene, by its number.
+pub fn observe_bodies(
+    board: &mut Board<'_>,
+    bodies: &Bodies,
+    scene: usize,
+) -> Result<(), &'static str> {
+    let units = bodies.units(scene).ok_or("there is no such scene")?;
+    observed(board.observe_poses(bodies.seconds(), units))
+}
+
+fn observed(observation: Result<Observation, ObserveError>) -> Result<(), &'static str> {
+    match observation {
         Ok(_) => Ok(()),
         Err(error) => {
             defmt::error!("observe: {}", Display2Format(&error));

@@ -3,6 +3,7 @@
 //! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`, and those of `amx` for whole matrices
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
 //! - `smooth`: what needs the exponential function
+//! - `sweep`: impulses at several contacts
 //! - `plain`: loops that the compiler makes vectors of by itself
 //!
 //! None of them uses fused multiply-add: it rounds once where the definition rounds twice.
@@ -16,6 +17,7 @@ mod ceiling;
 mod int8;
 mod plain;
 mod smooth;
+mod sweep;
 mod wide;
 
 pub(crate) use ceiling::avx512 as ceiling;
@@ -23,7 +25,9 @@ use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;
 use rigidformer_core::geometry::Index;
-use rigidformer_core::kernels::{Attention, Lanes, Rows, TOGETHER, attend_together};
+use rigidformer_core::kernels::{
+    Attention, Block, Goal, Lanes, Motion, Rows, TOGETHER, attend_together,
+};
 use rigidformer_core::quant::Scratch;
 use rigidformer_core::weights::Panels;
 use rigidformer_core::{ANCHORS, Kernels};
@@ -62,6 +66,7 @@ macro_rules! kernels {
         impl Kernels for $type {
             const NAME: &'static str = $name;
             const QUERIES: usize = TOGETHER;
+            const SWEEPS: bool = true;
 
             fn attend(self, attention: &Attention<'_>, scratch: &mut [f32], out: &mut [f32]) {
                 attend_together(self, attention, scratch, out);
@@ -104,6 +109,8 @@ macro_rules! kernels {
                 fn normalise(x: &mut [f32], mean: &[f32], scale: &[f32], limit: f32) => plain::normalise;
                 fn softmax(scores: &mut [f32]) -> f32 => smooth::softmax::<$wide>;
                 fn nearest_of_leaf(index: &Index<'_>, row: usize, answers: &mut [f32]) => plain::nearest_of_leaf;
+                fn sweep(blocks: &mut [Block], motions: &mut [Motion], aim: (Goal, bool)) -> bool
+                    => sweep::sweep;
                 fn pool(x: &[f32], largest: &mut [f32], sum: &mut [f32]) => plain::pool;
                 fn weigh(x: &[f32], weights: &[[f32; ANCHORS]], out: &mut [f32]) => wide::weigh::<$wide>;
             );

@@ -3,7 +3,7 @@
 #![allow(dead_code)]
 
 use half::f16;
-use rigidformer_core::kernels::Rows;
+use rigidformer_core::kernels::{Block, Goal, Motion, Rows, WIDE};
 use rigidformer_core::quant::{self, Scratch, scratch_bytes};
 use rigidformer_core::weights::Panels;
 use rigidformer_core::{ANCHORS, Kernels, Portable};
@@ -463,6 +463,43 @@ pub(crate) fn check_mismatches<K: Kernels>(kernels: K) {
                 let weights = vec![[0.5; ANCHORS]; b];
                 kernels.weigh(&x[..a], &weights, &mut out);
             }
+        }
+    }
+}
+
+pub(crate) fn check_sweeps<K: HostKernels>(kernels: K) {
+    // Three blocks of contacts of 2 x WIDE units, one of each block with a plane.
+    let units = 2 * WIDE;
+    let fields = size_of::<Block>() / size_of::<[f32; WIDE]>();
+    let numbers = series(3 * fields * WIDE, 5);
+    let mut blocks: Vec<Block> =
+        vec![[[0.0; WIDE]; size_of::<Block>() / size_of::<[f32; WIDE]>()]; 3];
+    let mut rest = numbers.into_iter();
+    for (block, shift) in blocks.iter_mut().zip([0, 3, 7]) {
+        block.as_flattened_mut().iter_mut().for_each(|number| *number = rest.next().unwrap());
+        let [along, _, _, _, _, first, second, ..] = block;
+        // Impulses along normals are none below 0; units of a block are all different, and one contact is with a plane.
+        for (lane, along) in along.iter_mut().enumerate() {
+            *along = along.max(0.0);
+            first[lane] = ((2 * lane + shift) % units) as f32;
+            second[lane] = ((2 * lane + 1 + shift) % units) as f32;
+        }
+        first[2] = f32::MAX;
+    }
+    let motion = size_of::<Motion>() / size_of::<f32>();
+    let motions = series(units * motion, 6);
+    let start: Vec<Motion> = motions.as_chunks().0.to_vec();
+    for goal in [Goal::Stop, Goal::Settle, Goal::Bounce] {
+        for upwards in [true, false] {
+            let (mut ours, mut theirs) =
+                ((blocks.clone(), start.clone()), (blocks.clone(), start.clone()));
+            let acts = kernels.sweep(&mut ours.0, &mut ours.1, (goal, upwards));
+            assert_eq!(acts, Portable.sweep(&mut theirs.0, &mut theirs.1, (goal, upwards)));
+            assert!(acts, "nothing was tested");
+            let what = format!("{} {goal:?}", K::NAME);
+            let flat = |blocks: &[Block]| blocks.as_flattened().as_flattened().to_vec();
+            assert_same(&flat(&ours.0), &flat(&theirs.0), &what);
+            assert_same(ours.1.as_flattened(), theirs.1.as_flattened(), &what);
         }
     }
 }

@@ -33,6 +33,7 @@ with_all_kernels!(sums_have_one_order, check_sums);
 with_all_kernels!(elements_have_the_same_bits, check_elements);
 with_all_kernels!(softmax_is_the_same, check_softmax);
 with_all_kernels!(pools_are_the_same, check_pools);
+with_all_kernels!(sweeps_are_the_same, check_sweeps);
 with_all_kernels!(mismatched_slices_do_not_panic, check_mismatches);
 
 #[test]

@@ -1,12 +1,13 @@
 //! `firmware MODEL rollout|hostile|robot|walk|drape` prints what the image of that name must print about its rollouts, `firmware
 //! MODEL roles|shatter` what the C programs of those names must print (`roles` is `push`), `firmware MODEL sizes` the sizes of the workspace;
-//! `firmware scenes` writes the scenes that the images roll out, `firmware drape` that of a sheet of cloth, `firmware walk SCENES` that of a robot, the first of a file that
+//! `firmware contact` writes the points of the bodies that collide, `firmware drape` that of a sheet of cloth, `firmware walk SCENES` that of a robot, the first of a file that
 //! `rigidformer_lab.g1` made.
 #![allow(clippy::expect_used)]
 
 use rigidformer_evaluation::scenes::Dataset;
 use rigidformer_tests::firmware::{
-    TwoFrames, drape, drape_file, robot, roles, rollout, shatter, walk, walk_file, workspace,
+    Bodies, TwoFrames, drape, drape_file, robot, roles, rollout, rollouts, shatter, walk,
+    walk_file, workspace,
 };
 use rigidformer_weights::{AlignedBuffer, G1, SHELL};
 use std::path::PathBuf;
@@ -16,15 +17,17 @@ fn scene(name: &str) -> PathBuf {
     root.join("../firmware-sim/firmware/scenes").join(name).with_extension("bin")
 }
 
+fn bodies() -> Bodies {
+    Bodies::from_bytes(&std::fs::read(scene("bodies")).expect("the bodies"))
+}
+
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let read = |name| TwoFrames::from_bytes(&std::fs::read(scene(name)).expect("the scene"));
     match arguments.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
-        ["scenes"] => {
-            for name in ["contact", "flight"] {
-                let bytes = TwoFrames::generate(name).to_bytes();
-                std::fs::write(scene(name), bytes).expect("the folder can be written");
-            }
+        ["contact"] => {
+            let bytes = TwoFrames::of(&bodies()).to_bytes();
+            std::fs::write(scene("contact"), bytes).expect("the folder can be written");
         }
         ["drape"] => {
             std::fs::write(scene("drape"), drape_file()).expect("the folder can be written");
@@ -46,8 +49,7 @@ fn main() {
             match *image {
                 "sizes" => println!("{}", workspace(&model)),
                 "rollout" => {
-                    print!("{}", rollout(&model, "contact", &read("contact"), 100));
-                    print!("{}", rollout(&model, "flight", &read("flight"), 100));
+                    print!("{}", rollouts(&model, &bodies(), 100));
                 }
                 "robot" => print!("{}", robot(&model)),
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
@@ -57,7 +59,7 @@ fn main() {
             }
         }
         _ => eprintln!(
-            "usage: firmware MODEL rollout|hostile|robot|walk|drape|roles|shatter|sizes, firmware scenes, firmware drape, firmware walk SCENES"
+            "usage: firmware MODEL rollout|hostile|robot|walk|drape|roles|shatter|sizes, firmware contact, firmware drape, firmware walk SCENES"
         ),
     }
 }

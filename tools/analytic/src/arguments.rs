@@ -24,6 +24,8 @@ pub(crate) enum Command {
     Rest(Rest),
     /// Whether long rollouts stay finite and above the ground
     Long(Long),
+    /// How long impulses alone and Rapier take for the same scenes, in turns
+    Time(Time),
 }
 
 #[derive(Args)]
@@ -160,6 +162,36 @@ pub(crate) struct Long {
     /// Frames to predict
     #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub(crate) frames: u32,
+    /// Print one JSON document instead of a table
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+#[derive(Args)]
+#[command(after_help = "\
+Both engines go through every scene from its frame S to frame 100, one after the other. Times are of the steps alone, without the
+scene's building. Rapier takes one time step a recorded frame with `--sub-steps 1`, on one thread, which is how it is built by default.
+
+Examples:
+  rigidformer-analytic time wrecking-216.safetensors
+  rigidformer-analytic time movi-a.safetensors --step 10 --sub-steps 10 --json")]
+pub(crate) struct Time {
+    /// Scene file with at least 101 frames
+    pub(crate) dataset: PathBuf,
+    #[command(flatten)]
+    pub(crate) scenes: Scenes,
+    /// Frames of the record between two predictions; frames 0 and S are observed
+    #[arg(long, value_name = "S", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=25))]
+    pub(crate) step: u32,
+    /// Time steps of Rapier per recorded frame; 10 make 1/2400 s at 240 Hz
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub(crate) sub_steps: u32,
+    /// Impulses take all threads; without this, one
+    #[arg(long)]
+    pub(crate) threads: bool,
+    /// Turns; the median of each scene counts
+    #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub(crate) turns: u32,
     /// Print one JSON document instead of a table
     #[arg(long)]
     pub(crate) json: bool,

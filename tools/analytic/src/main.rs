@@ -14,6 +14,7 @@ mod rest;
 mod rollouts;
 mod simulation;
 mod statistics;
+mod time;
 
 use std::process::ExitCode;
 
@@ -27,6 +28,7 @@ fn main() -> ExitCode {
         Command::Overlap(arguments) => overlap::run(arguments),
         Command::Rest(arguments) => rest::run(arguments),
         Command::Long(arguments) => long::run(arguments),
+        Command::Time(arguments) => time::run(arguments),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

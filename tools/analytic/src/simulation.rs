@@ -1,5 +1,7 @@
 //! A recorded scene in Rapier.
 
+use std::time::{Duration, Instant};
+
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use rapier3d::dynamics::{CoefficientCombineRule, FrictionModel};
 use rapier3d::math::Vector;
@@ -40,6 +42,17 @@ pub(crate) fn simulate(
     last_frame: u32,
     settings: Settings,
 ) -> anyhow::Result<Trajectory> {
+    simulate_timed(scene, step, every, last_frame, settings).map(|(trajectory, _)| trajectory)
+}
+
+/// As [`simulate`], with how long the engine's steps took, without the building of the scene.
+pub(crate) fn simulate_timed(
+    scene: &RecordedScene,
+    step: u32,
+    every: u32,
+    last_frame: u32,
+    settings: Settings,
+) -> anyhow::Result<(Trajectory, Duration)> {
     let too_few = || {
         let recorded = scene.frames();
         anyhow::anyhow!(
@@ -111,6 +124,7 @@ pub(crate) fn simulate(
         .collect();
 
     let mut trajectory = Trajectory::new(step, every, now);
+    let begun = Instant::now();
     while trajectory.last_frame() < last_frame {
         for _ in 0..u64::from(settings.sub_steps) * u64::from(trajectory.step()) {
             world.step();
@@ -118,7 +132,7 @@ pub(crate) fn simulate(
         let poses = bodies.iter().filter_map(|body| world.bodies.get(*body));
         trajectory.push(poses.map(|body| from_pose(body.position())));
     }
-    Ok(trajectory)
+    Ok((trajectory, begun.elapsed()))
 }
 
 /// Velocity and spin, in the world frame, at the second of two poses so many seconds apart.

@@ -44,7 +44,8 @@ REST = 0.02  # what touches something held and is slower at both ends of a step 
 ROUNDING = 4 * 1.2e-7  # of a coordinate: what falls into that in a step rests too, up to twice the speed
 SAME_CONTACT = 0.1  # a contact this close to one of the part before goes on from its impulse, in radii
 SAME_WAY = 0.7  # and its normal must be within 45 degrees: at an inner corner two pieces push in two ways at one place
-CONTACTS = 12  # room a unit
+CONTACTS, HEAP_CONTACTS = 12, 24  # room a unit, and in scenes of more than FEW
+FEW = 32
 STEEP = 10  # metres that a point of a patch counts as nearer for each that it is higher
 ASIDE = 1e-6  # points this far aside, in the greatest distance, are aside
 CORNERS = 8  # of a face, at most: its outermost points to so many sides
@@ -95,7 +96,7 @@ def in_one_piece(start, count, radius):
 
 
 def _room(units):
-    n = CONTACTS * units
+    n = (HEAP_CONTACTS if units > FEW else CONTACTS) * units
     whole = lambda: np.zeros(n, np.int64)  # noqa: E731
     one, three = (lambda: np.zeros(n)), (lambda: np.zeros((n, 3)))
     return Contacts(

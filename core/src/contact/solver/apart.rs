@@ -3,7 +3,7 @@
 
 use super::bodies::{Touched, World};
 use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};
-use super::{CONTACTS, carve};
+use super::{carve, contacts_of};
 use crate::contact::ground::Plane;
 use crate::geometry::{Hull, Pose, STATE, State, dot, rotate_back};
 use crate::limits::MAX_PIECES;
@@ -32,7 +32,7 @@ pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], n
     for _ in 0..KEEPS {
         let mut place = None;
         let mut moves = false;
-        for rank in 0..CONTACTS * units {
+        for rank in 0..contacts_of(units) * units {
             let Some(contact) = contacts.ordered(rank).map(|row| Contact::read(row)) else { break };
             // The contacts of two pieces follow each other.
             let Some(from) = contact.from.filter(|_| place != Some(contact.place())) else {

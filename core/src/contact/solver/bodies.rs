@@ -55,9 +55,9 @@ pub(super) const MOVER: usize = 13;
 pub(super) const MARKS: usize = 3;
 /// Numbers of the shift and the turn that push a unit out of others.
 pub(super) const SHIFT: usize = 6;
-/// Numbers of the ball that a unit stays in for a substep. Microcontrollers have none: they look at all pairs, for less
+/// Numbers of the ball that a unit stays in for a substep, and of the box. Microcontrollers have none: they look at all pairs, for less
 /// memory.
-pub(super) const BALL: usize = if cfg!(rigidformer_host) { 4 } else { 0 };
+pub(super) const BALL: usize = if cfg!(rigidformer_host) { 7 } else { 0 };
 /// Numbers of a unit's range for the step, of what becomes of it there and of its contacts. Microcontrollers have none,
 /// as above.
 pub(super) const RANGE: usize = if cfg!(rigidformer_host) { 7 } else { 0 };
@@ -81,6 +81,11 @@ pub(crate) const PRIOR: usize = STATE + 1;
 /// Numbers of a unit in the scratch. Its velocity, its spin and how far it has moved are in its row of the result, which is
 /// written when they are of no more use: memory is dear.
 pub(super) const BODY: usize = POSE + MARKS + SHIFT;
+/// Units and points of one that boxes are found for.
+#[cfg(rigidformer_host)]
+const FEWEST_BOXED: usize = 16;
+#[cfg(rigidformer_host)]
+const MOST_BOXED: usize = 16;
 /// Rounding may take this share of a ball's radius: a ball that is too small would hide a contact.
 #[cfg(rigidformer_host)]
 const BALL_SLACK: f32 = 1e-4;
@@ -300,6 +305,20 @@ impl<'s> World<'s> {
         if unit.is_ball { MIDDLE } else { self.scene.hull_of(unit) }
     }
 
+    /// Half the sides of a box along the world's axes that holds a unit turned so, about its centre, metres. Where units are few or have
+    /// many points, the box of its ball: finding it would take longer than it saves.
+    #[cfg(rigidformer_host)]
+    fn half_sides(&self, unit: &UnitSlot, rotation: &Matrix3<f32>) -> Vector3<f32> {
+        let points = self.hull_of(unit);
+        if unit.is_ball || points.len() > MOST_BOXED || self.units.len() < FEWEST_BOXED {
+            return Vector3::repeat(unit.radius);
+        }
+        let sides = |most: Vector3<f32>, point: &Point3<f32>| {
+            most.sup(&rotate(rotation, &point.coords).abs())
+        };
+        points.iter().fold(Vector3::zeros(), sides)
+    }
+
     /// How far a unit's surface is from its hull, metres.
     pub(super) fn round(&self, unit: &UnitSlot) -> f32 {
         if unit.is_ball { unit.radius } else { 0.0 }
@@ -433,7 +452,7 @@ pub(super) struct Mover {
     /// 1 / kg
     pub(super) lightness: f32,
     /// Inverse of the inertia in the world's axes, 1 / (kg m^2): xx, yy, zz, xy, xz, yz.
-    inverse: [f32; 6],
+    pub(super) inverse: [f32; 6],
 }
 
 impl Mover {
@@ -588,7 +607,7 @@ pub(super) struct Bodies<'r> {
     poses: &'r mut [[f32; POSE]],
     marks: &'r mut [[f32; MARKS]],
     shifts: &'r mut [[f32; SHIFT]],
-    /// Centre and radius.
+    /// Centre and radius, and half the sides of a box about that centre.
     #[cfg(rigidformer_host)]
     balls: &'r mut [[f32; BALL]],
     /// Centre and radius for the step, what becomes of the unit, its contacts in a substep and the most there were.
@@ -620,6 +639,12 @@ impl<'r> Bodies<'r> {
         let count = self.poses.len();
         let (balls, ranges) = (rows(extra, count), rows(extra, count));
         Bodies { balls, ranges, ..self }
+    }
+
+    /// Velocity and spin of every unit first in its row.
+    #[cfg(rigidformer_host)]
+    pub(super) fn motions(&mut self) -> &mut [[f32; PRIOR]] {
+        self.motions
     }
 
     #[inline]
@@ -844,6 +869,8 @@ impl<'r> Bodies<'r> {
         }
         for (number, unit) in world.moved() {
             let [velocity, spin] = world.incoming_motion(unit);
+            // An impulse adds 0 to what nothing moves, which would make a 0 of -0.
+            let [velocity, spin] = [velocity, spin].map(|motion| motion + Vector3::zeros());
             let mover = Mover { velocity, spin, ..Mover::STILL };
             let speed = mover.speed(self.radius(world, (number, unit)));
             self.moves(number, &mover);
@@ -905,10 +932,12 @@ impl<'r> Bodies<'r> {
             if self.is_left_out(number) {
                 continue;
             }
-            let (mover, Pose { centre, .. }) = (self.mover_there(number), self.pose(number));
+            let (mover, Pose { centre, rotation }) = (self.mover_there(number), self.pose(number));
             let reach = unit.radius * (1.0 + face) + mover.speed(unit.radius) * world.substep_s;
+            let sides = world.half_sides(unit, &rotation) + Vector3::repeat(reach - unit.radius);
+            let [a, b, c] = (sides * (1.0 + BALL_SLACK)).into();
             if let Some(ball) = self.balls.get_mut(number) {
-                *ball = [centre.x, centre.y, centre.z, reach * (1.0 + BALL_SLACK)];
+                *ball = [centre.x, centre.y, centre.z, reach * (1.0 + BALL_SLACK), a, b, c];
             }
         }
     }
@@ -998,11 +1027,13 @@ impl<'r> Bodies<'r> {
         let (Some(own), Some(ball)) = (self.balls.get(unit), self.balls.get(other)) else {
             return true;
         };
-        let ([x, y, z, reach], [a, b, c, far]) = (*own, *ball);
+        let ([x, y, z, reach, own_sides @ ..], [a, b, c, far, sides @ ..]) = (*own, *ball);
         let ([x, y, z], sum) = ([a - x, b - y, c - z], reach + far);
         // Also where the numbers are none.
         let apart = (x * x + y * y) + z * z > sum * sum;
-        !apart && !self.is_left_out(other)
+        let sides = own_sides.into_iter().zip(sides).map(|(own, other)| own + other);
+        let beside = || [x, y, z].into_iter().zip(sides).any(|(way, sides)| way.abs() > sides);
+        !apart && !beside() && !self.is_left_out(other)
     }
 
     /// Whether no substep of the step has to look at a unit.
@@ -1023,7 +1054,7 @@ impl<'r> Bodies<'r> {
     #[cfg(rigidformer_host)]
     pub(super) fn are_in_range(&self) -> bool {
         self.balls.iter().zip(self.ranges.iter()).all(|(ball, range)| {
-            let ([a, b, c, reach], [x, y, z, far, state, ..]) = (ball, range);
+            let ([a, b, c, reach, ..], [x, y, z, far, state, ..]) = (ball, range);
             let ([x, y, z], room) = ([a - x, b - y, c - z], far - reach);
             *state != AWAKE || (room >= 0.0 && (x * x + y * y) + z * z <= room * room)
         })

@@ -2,11 +2,15 @@
 
 use super::bodies::{Bodies, Give, Mover, Spring, World, rows};
 use super::patch::{self, Patch, Slope};
+#[cfg(rigidformer_host)]
+use super::wide::{self, Blocks};
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
     Hull, Pose, Precision, Separation, direction, dot, norm, rotate, rotate_back, separation,
 };
+#[cfg(rigidformer_host)]
+use crate::kernels::Block;
 use crate::kernels::Schedule;
 use crate::limits::MAX_PIECES;
 use crate::math;
@@ -183,8 +187,15 @@ impl Contact {
 
     /// Whether it is the middle of a patch.
     #[inline]
-    fn is_middle([_, _, _, _, _, kind, ..]: &[f32; CONTACT]) -> bool {
+    pub(super) fn is_middle([_, _, _, _, _, kind, ..]: &[f32; CONTACT]) -> bool {
         *kind >= 3.0
+    }
+
+    /// Along its normal, how fast its units may leave each other after a sweep at least, m/s: an open gap allows just the approach that
+    /// closes it in the substep.
+    #[inline]
+    pub(super) fn wanted(&self, substep_s: f32) -> f32 {
+        -(if self.gap > 0.0 { self.gap } else { 0.0 } / substep_s)
     }
 
     /// Keeps the impulse.
@@ -298,6 +309,23 @@ pub(super) struct Contacts<'r> {
     /// Pairs that threads look at together.
     #[cfg(rigidformer_host)]
     slots: &'r mut [[f32; SLOT]],
+    /// Room for contacts that sweeps take together.
+    #[cfg(rigidformer_host)]
+    blocks: &'r mut [Block],
+    /// Where they are in it.
+    #[cfg(rigidformer_host)]
+    packed: Option<Blocks>,
+}
+
+/// Contacts, and what puts them into blocks.
+#[cfg(rigidformer_host)]
+pub(super) struct ToPack<'a> {
+    pub(super) rows: &'a mut [[f32; CONTACT]],
+    /// What they are ordered by.
+    pub(super) notes: &'a mut [[f32; OLD]],
+    pub(super) blocks: &'a mut [Block],
+    /// How many of the first in order are middles of patches.
+    pub(super) middles: usize,
 }
 
 /// What the contacts of a pair have in common.
@@ -330,13 +358,49 @@ impl<'r> Contacts<'r> {
             middles: 0,
             #[cfg(rigidformer_host)]
             slots: &mut [],
+            #[cfg(rigidformer_host)]
+            blocks: &mut [],
+            #[cfg(rigidformer_host)]
+            packed: None,
         }
     }
 
-    /// With so many pairs that threads look at together, where there is room for them.
+    /// With so many pairs that threads look at together, where there is room for them, and blocks in what is left.
     #[cfg(rigidformer_host)]
     pub(super) fn with_slots(self, mut extra: &'r mut [f32], count: usize) -> Self {
-        Contacts { slots: self::rows(&mut extra, count), ..self }
+        let slots = self::rows(&mut extra, count);
+        let (lanes, _) = extra.as_chunks_mut();
+        let (blocks, _) = lanes.as_chunks_mut();
+        Contacts { slots, blocks, ..self }
+    }
+
+    /// Those of this substep, and what puts them into blocks.
+    #[cfg(rigidformer_host)]
+    pub(super) fn unpacked(&mut self) -> ToPack<'_> {
+        let rows = self.rows.get_mut(..self.count).unwrap_or_default();
+        ToPack { rows, notes: self.old, blocks: self.blocks, middles: self.middles }
+    }
+
+    /// Puts those of this substep, which are in order, into blocks that sweeps take, where that pays.
+    #[cfg(rigidformer_host)]
+    pub(super) fn pack(&mut self, world: &World<'_>, bodies: &Bodies<'_>) {
+        self.packed = wide::pack(world, bodies, self);
+    }
+
+    /// Blocks of the middles of patches, and of the others; none where contacts are swept one by one.
+    #[cfg(rigidformer_host)]
+    pub(super) fn packed(&mut self) -> Option<[&mut [Block]; 2]> {
+        let Blocks { middles, all } = self.packed?;
+        let (first, rest) = self.blocks.split_at_mut_checked(middles)?;
+        Some([first, rest.get_mut(..all.saturating_sub(middles))?])
+    }
+
+    /// Takes impulses out of blocks.
+    #[cfg(rigidformer_host)]
+    pub(super) fn unpack(&mut self) {
+        if let Some(Blocks { all, .. }) = self.packed {
+            wide::unpack(self, all);
+        }
     }
 
     /// How many there is room for.

@@ -3,6 +3,9 @@
 use super::bodies::{Bodies, FAR, Mover, World};
 use super::contacts::{CONTACT, Contact, Contacts, Held, Old};
 use crate::geometry::{dot, norm, opposite};
+#[cfg(rigidformer_host)]
+use crate::kernels::Kernels;
+use crate::kernels::{Goal, Schedule};
 use crate::math;
 use nalgebra::Vector3;
 
@@ -321,54 +324,71 @@ pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
     }
 }
 
-/// What a sweep is for.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Goal {
-    /// No approach that gaps do not allow.
-    Stop,
-    /// The same, with lower units held.
-    Settle,
-    Bounce,
-}
-
 /// Takes the approaches that gaps do not allow, and lets friction act.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(super) fn stop(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+pub(super) fn stop<S: Schedule>(
+    schedule: S,
+    world: &World<'_>,
+    bodies: &mut Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+) {
+    #[cfg(rigidformer_host)]
+    if S::Kernels::SWEEPS {
+        contacts.pack(world, bodies);
+    }
     // What has a spring takes no part in settling.
     let more = if world.gives_way() { SETTLING } else { 0 };
     let sweeps = (SWEEPS / world.substeps.max(1)).max(LEAST_SWEEPS) + more;
     for turn in 0..sweeps {
         // To and fro: an order of contacts would favour what comes last.
-        if !sweep(world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
+        if !sweep(schedule, world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
             break;
         }
     }
     for _ in 0..world.share_of(SETTLING) {
-        if !sweep(world, bodies, contacts, (Goal::Settle, true)) {
+        if !sweep(schedule, world, bodies, contacts, (Goal::Settle, true)) {
             break;
         }
     }
+    #[cfg(rigidformer_host)]
+    contacts.unpack();
 }
 
 /// Lets contacts bounce that have an impulse.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-pub(super) fn bounce(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut Contacts<'_>) {
+pub(super) fn bounce<S: Schedule>(
+    schedule: S,
+    world: &World<'_>,
+    bodies: &mut Bodies<'_>,
+    contacts: &mut Contacts<'_>,
+) {
     for turn in 0..BOUNCING {
-        if !sweep(world, bodies, contacts, (Goal::Bounce, turn % 2 == 1)) {
+        if !sweep(schedule, world, bodies, contacts, (Goal::Bounce, turn % 2 == 1)) {
             break;
         }
     }
+    #[cfg(rigidformer_host)]
+    contacts.unpack();
 }
 
 /// One impulse at each contact, upwards or downwards. Whether any contact had one: where none has, the next sweep has none
 /// either.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn sweep(
+fn sweep<S: Schedule>(
+    schedule: S,
     world: &World<'_>,
     bodies: &mut Bodies<'_>,
     contacts: &mut Contacts<'_>,
     (goal, upwards): (Goal, bool),
 ) -> bool {
+    #[cfg(rigidformer_host)]
+    if let Some([middles, corners]) = contacts.packed() {
+        let (kernels, motions) = (schedule.kernels(), bodies.motions());
+        let acts = kernels.sweep(middles, motions, (goal, upwards));
+        return kernels.sweep(corners, motions, (goal, upwards)) | acts;
+    }
+    #[cfg(not(rigidformer_host))]
+    let _ = schedule;
     let (count, middles) = (contacts.rows().len(), contacts.middles());
     let mut acts = false;
     // The middles of patches first: they carry the load without turning anything.
@@ -402,8 +422,7 @@ fn normal_impulse(
     }
     let wanted = match goal {
         Goal::Bounce => contact.rebound,
-        // An open gap allows just the approach that closes it in the substep.
-        _ => -(positive(contact.gap) / substep_s),
+        _ => contact.wanted(substep_s),
     };
     let along = positive(before + (wanted - dot(leaving, &contact.normal)) * heavy);
     // None of them is negative.

@@ -13,6 +13,8 @@ mod impulses;
 mod patch;
 #[cfg(test)]
 mod tests;
+#[cfg(rigidformer_host)]
+mod wide;
 
 use crate::geometry::{State, dot, squared};
 use crate::kernels::Schedule;
@@ -25,15 +27,32 @@ use contacts::Contacts;
 use contacts::SLOTS;
 use nalgebra::Vector3;
 
-/// Room for contacts, a unit: the workspace has a size that is known ahead. A copy with M units has CONTACTS * M of them.
-pub(crate) const CONTACTS: usize = 12;
-/// Numbers of scratch a unit: itself, its contacts and those of the substep before.
-pub(crate) const SCRATCH: usize = bodies::BODY + CONTACTS * (contacts::CONTACT + contacts::OLD);
-/// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, and threads
-/// share one.
-pub(crate) const EXTRA: usize = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
+/// Room for contacts, a unit of a copy with so many: the workspace has a size that is known ahead. A copy with M units has M times as many.
+pub(crate) const fn contacts_of(units: usize) -> usize {
+    // In a heap a box has six neighbours, of five contacts each.
+    if units > FEW { 24 } else { 12 }
+}
 
-const _: () = assert!(SCRATCH <= 465, "every unit of every copy pays for the solver's scratch");
+/// Units of a copy, at most, that are too few for a heap in which most have neighbours all around.
+const FEW: usize = 32;
+
+/// Numbers of scratch a unit of a copy with so many: itself, its contacts and those of the substep before.
+pub(crate) const fn scratch(units: usize) -> usize {
+    bodies::BODY + contacts_of(units) * (contacts::CONTACT + contacts::OLD)
+}
+
+/// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, threads share one, and sweeps
+/// take many contacts at a time.
+pub(crate) const fn extra(units: usize) -> usize {
+    let numbers = bodies::BALL + bodies::RANGE + contacts::SLOTS * contacts::SLOT;
+    #[cfg(rigidformer_host)]
+    let numbers = if units > FEW { numbers + wide::NUMBERS } else { numbers };
+    let _ = units;
+    numbers
+}
+
+const _: () =
+    assert!(scratch(FEW) <= 465, "every unit of every copy pays for the solver's scratch");
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
@@ -48,8 +67,8 @@ const MOST_TURN: f32 = 3.0;
 /// Smaller turns of a step commute, radians: what that leaves out is less than f32 do.
 const SMALL_TURN: f32 = 3e-4;
 
-/// Where the units of a copy go in a step. `first` is the copy's first unit; `scratch` has [`SCRATCH`] numbers a unit of
-/// the copy, and `prior` [`PRIOR`]:
+/// Where the units of a copy go in a step. `first` is the copy's first unit; `scratch` has as many numbers a unit of
+/// the copy as [`scratch`] says, and `prior` [`PRIOR`]:
 ///
 /// - the state after the step, whose way and turn carry velocity and spin at the end of the step,
 /// - how much of the network's correction applies, from 0 (the unit rests) to 1 (it touches nothing, or moves briskly).
@@ -97,7 +116,7 @@ fn solve_with<S: Schedule>(
 #[cfg(rigidformer_host)]
 pub(crate) fn mark_still(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f32]) {
     let rests = prior.chunks_exact(PRIOR).map(|row| row.last().is_some_and(|share| *share < 0.0));
-    let before = units.len() * (SCRATCH + bodies::BALL);
+    let before = units.len() * (self::scratch(units.len()) + bodies::BALL);
     let ranges = scratch.get_mut(before..).unwrap_or_default().as_chunks_mut().0;
     bodies::mark_still(units, rests, ranges);
 }
@@ -173,11 +192,11 @@ fn in_substeps<S: Schedule>(
         if !world.gives_way() {
             bodies.forget();
         }
-        impulses::stop(world, bodies, contacts);
+        impulses::stop(schedule, world, bodies, contacts);
         let bounces = impulses::mark(world, bodies, contacts);
         bodies.advance(world);
         if bounces {
-            impulses::bounce(world, bodies, contacts);
+            impulses::bounce(schedule, world, bodies, contacts);
         }
         impulses::push_apart(world, bodies, contacts);
         left = left.saturating_sub(world.ticks);
@@ -200,13 +219,13 @@ fn carve<'r>(
     let bodies = Bodies::new(own, prior, units);
     #[cfg(rigidformer_host)]
     {
-        let room = count * (SCRATCH - bodies::BODY);
+        let room = count * (self::scratch(count) - bodies::BODY);
         let (others, mut extra) = others.split_at_mut(room.min(others.len()));
         let bodies = bodies.with_ranges(&mut extra);
-        (bodies, Contacts::new(others, CONTACTS * count).with_slots(extra, SLOTS * count))
+        (bodies, Contacts::new(others, contacts_of(count) * count).with_slots(extra, SLOTS * count))
     }
     #[cfg(not(rigidformer_host))]
-    (bodies, Contacts::new(others, CONTACTS * count))
+    (bodies, Contacts::new(others, contacts_of(count) * count))
 }
 
 /// Parts that a step is taken in, at least.

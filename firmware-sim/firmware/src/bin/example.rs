@@ -14,7 +14,7 @@ fn predict() -> Option<()> {
     let model = Model::load(NANO).ok()?; // checks everything, copies nothing out of flash
     let limits = Limits { units: 10, points: 640 };
     let mut simulator = Simulator::new(&model, limits, memory::slabs()?).ok()?;
-    let camera = scene::Scene::read(scene::FLIGHT)?;
+    let camera = scene::Scene::read(scene::CONTACT)?;
     let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
     let frames = camera.previous.iter().zip(&camera.current);
     let units =

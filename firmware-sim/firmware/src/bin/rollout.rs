@@ -6,8 +6,8 @@ use defmt::Display2Format;
 use rigidformer_core::{Kernels, Native, Simulator};
 use rigidformer_firmware::counter::Counter;
 use rigidformer_firmware::memory::{LIMITS, SIZES, slabs};
-use rigidformer_firmware::rollout::{Board, load, observe, roll_out};
-use rigidformer_firmware::scene::{CONTACT, FLIGHT, Scene};
+use rigidformer_firmware::rollout::{Board, load, observe_bodies, roll_out};
+use rigidformer_firmware::scene::{BODIES, Bodies, SCENES};
 use rigidformer_firmware::{MODEL, image};
 
 #[cortex_m_rt::entry]
@@ -27,9 +27,9 @@ fn case(counter: Counter) -> Result<(), &'static str> {
     defmt::info!("measured views {=usize}", size_of_val(&model) + size_of_val(&board));
     defmt::info!("measured workspace {=usize}", SIZES.bytes());
     // A step should take as long in a heap as in the air, so both are measured.
-    for (name, file) in [("contact", CONTACT), ("flight", FLIGHT)] {
-        let scene = Scene::read(file).ok_or("the scene is damaged")?;
-        observe(&mut board, &scene)?;
+    let bodies = Bodies::read(BODIES).ok_or("the bodies are damaged")?;
+    for (number, name) in SCENES.into_iter().enumerate() {
+        observe_bodies(&mut board, &bodies, number)?;
         roll_out(&mut board, name, 100, counter)?.report(name);
     }
     Ok(())

@@ -4,7 +4,7 @@ use crate::bits::Fnv1a;
 use crate::drape::{self, Drape};
 use crate::walk::{self, Walk};
 use crate::workcell::{STEPS, Workcell};
-use crate::{Golden, Room, observed, seconds};
+use crate::{Room, observed, seconds};
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{
     BOND_ROOM, Limits, Model, Physics, Plane, Posed, Role, Simulator, SlabSizes, Unit, UnitView,

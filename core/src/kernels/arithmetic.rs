@@ -3,7 +3,9 @@
 
 use super::attention::{Attention, Lanes, TOGETHER};
 #[cfg(rigidformer_host)]
-use super::sweep::{Block, Goal, Motion};
+use super::goal::Goal;
+#[cfg(rigidformer_host)]
+use super::sweep::{Block, Motion};
 use crate::geometry::{Index, Pose};
 use crate::limits::ANCHORS;
 use crate::math;

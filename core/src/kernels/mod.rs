@@ -5,11 +5,13 @@ mod attention;
 #[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 mod cortex_m;
 mod environment;
+mod goal;
 #[cfg(rigidformer_helium)]
 mod helium;
 mod portable;
 mod schedule;
 mod storage;
+#[cfg(rigidformer_host)]
 mod sweep;
 mod together;
 
@@ -21,6 +23,7 @@ pub use cortex_m::CortexM;
 #[cfg(all(rigidformer_dsp, not(rigidformer_helium)))]
 pub use cortex_m::CortexM as Native;
 pub use environment::in_own_environment;
+pub use goal::Goal;
 #[cfg(rigidformer_helium)]
 pub use helium::Helium;
 /// The fastest kernels of this crate that the target this is compiled for is sure to have.
@@ -32,7 +35,6 @@ pub use portable::Portable;
 pub use portable::Portable as Native;
 pub use schedule::{Divisible, Schedule, Serial};
 pub(crate) use storage::Storage;
-pub use sweep::Goal;
 #[cfg(rigidformer_host)]
 pub use sweep::{Block, Lane, Motion, Vector, WIDE, sweep};
 #[cfg(rigidformer_host)]

@@ -143,6 +143,7 @@ fn dot_i8(lhs: &[i8], rhs: &[i8]) -> i32 {
 impl Kernels for Portable {
     const NAME: &'static str = "portable";
     #[cfg(rigidformer_host)]
+    // One lane at a time is slower than contacts alone; tests compare both.
     const SWEEPS: bool = cfg!(test);
 
     fn linear_f32(self, x: &[f32], weight: &[f32], bias: &[f32], inputs: usize, out: &mut [f32]) {

@@ -1,18 +1,9 @@
-//! Sweeps of impulses over contacts that share no unit, several at a time: the bits of the solver's sweeps one by one.
+//! Sweeps of impulses over contacts that share no unit that moves, several at a time: of finite numbers the bits of the solver's sweeps
+//! one by one.
 
+use super::goal::Goal;
 use crate::geometry::STATE;
 use crate::math;
-
-/// What a sweep is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Goal {
-    /// No approach that gaps do not allow.
-    Stop,
-    /// The same, with lower units held.
-    Settle,
-    /// The speeds after a bounce.
-    Bounce,
-}
 
 /// Contacts of a block.
 pub const WIDE: usize = 8;
@@ -20,7 +11,7 @@ pub const WIDE: usize = 8;
 pub(crate) const FIELDS: usize = 4 + 3 + 12 + 11 + 14;
 /// One number of each contact of a block.
 pub type Lane = [f32; WIDE];
-/// Contacts of which no two change the motion of one unit.
+/// Contacts of which no two change the motion of one unit, lane by lane.
 pub type Block = [Lane; FIELDS];
 /// Velocity and spin of a unit, and what the solver knows of it besides.
 pub type Motion = [f32; STATE + 1];

@@ -81,9 +81,10 @@ pub(crate) const PRIOR: usize = STATE + 1;
 /// Numbers of a unit in the scratch. Its velocity, its spin and how far it has moved are in its row of the result, which is
 /// written when they are of no more use: memory is dear.
 pub(super) const BODY: usize = POSE + MARKS + SHIFT;
-/// Units and points of one that boxes are found for.
+/// Units of a copy that boxes are found for, at least.
 #[cfg(rigidformer_host)]
 const FEWEST_BOXED: usize = 16;
+/// Points of a unit that one is found for, at most.
 #[cfg(rigidformer_host)]
 const MOST_BOXED: usize = 16;
 /// Rounding may take this share of a ball's radius: a ball that is too small would hide a contact.
@@ -313,8 +314,10 @@ impl<'s> World<'s> {
         if unit.is_ball || points.len() > MOST_BOXED || self.units.len() < FEWEST_BOXED {
             return Vector3::repeat(unit.radius);
         }
+        // What is not a number stays, and keeps nothing apart.
+        let farther = |most: f32, way: f32| if way.abs() <= most { most } else { way.abs() };
         let sides = |most: Vector3<f32>, point: &Point3<f32>| {
-            most.sup(&rotate(rotation, &point.coords).abs())
+            most.zip_map(&rotate(rotation, &point.coords), farther)
         };
         points.iter().fold(Vector3::zeros(), sides)
     }

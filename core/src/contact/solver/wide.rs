@@ -1,13 +1,15 @@
 //! Contacts in blocks that sweeps take together. Those that change the motion of one unit keep the order of a sweep, and others do not
-//! depend on each other, so that the bits are those of contacts one by one.
+//! depend on each other, so that of finite numbers the bits are those of contacts one by one.
 
 use super::bodies::{Bodies, Mover, World};
 use super::contacts::{Contact, Contacts, Held, ToPack};
 use crate::kernels::{Block, FIELDS, NOBODY, WIDE, at, put};
 use crate::scene::UnitSlot;
 
-/// Numbers of blocks, a unit of a copy: room for 24 contacts, and for lanes that are left over.
-pub(super) const NUMBERS: usize = 32 * FIELDS;
+/// Numbers of blocks, a unit of a copy: room for 24 contacts, and for lanes that are left over. None where no kernels sweep over
+/// blocks.
+pub(super) const NUMBERS: usize =
+    if cfg!(any(test, target_arch = "x86_64")) { 32 * FIELDS } else { 0 };
 /// Fewer contacts are not worth it.
 const FEWEST: usize = 3 * WIDE;
 

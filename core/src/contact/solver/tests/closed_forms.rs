@@ -69,8 +69,7 @@ fn ten_boxes_stand_for_a_minute() {
     }
 }
 
-/// Boxes of a row have gaps of 1 cm. With gaps of 5 mm neighbours have contacts that carry nothing, the pyramid has no room for all,
-/// and the top falls through: 12 contacts a unit are 660.
+/// Boxes of a row have gaps of 1 cm.
 #[test]
 fn a_pyramid_of_55_boxes_stands_for_ten_seconds() {
     for code in CODES {

@@ -3,7 +3,6 @@
 use super::bodies::{Bodies, Give, Mover, Spring, World, rows};
 use super::patch::{self, Patch, Slope};
 #[cfg(rigidformer_host)]
-use super::wide::{self, Blocks};
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -317,6 +316,14 @@ pub(super) struct Contacts<'r> {
     packed: Option<Blocks>,
 }
 
+/// Blocks that hold a copy's contacts: of the middles of patches, and of all.
+#[cfg(rigidformer_host)]
+#[derive(Clone, Copy)]
+pub(super) struct Blocks {
+    pub(super) middles: usize,
+    pub(super) all: usize,
+}
+
 /// Contacts, and what puts them into blocks.
 #[cfg(rigidformer_host)]
 pub(super) struct ToPack<'a> {
@@ -324,6 +331,8 @@ pub(super) struct ToPack<'a> {
     /// What they are ordered by.
     pub(super) notes: &'a mut [[f32; OLD]],
     pub(super) blocks: &'a mut [Block],
+    /// Where they are.
+    pub(super) packed: Option<Blocks>,
     /// How many of the first in order are middles of patches.
     pub(super) middles: usize,
 }
@@ -378,13 +387,14 @@ impl<'r> Contacts<'r> {
     #[cfg(rigidformer_host)]
     pub(super) fn unpacked(&mut self) -> ToPack<'_> {
         let rows = self.rows.get_mut(..self.count).unwrap_or_default();
-        ToPack { rows, notes: self.old, blocks: self.blocks, middles: self.middles }
+        let (packed, middles) = (self.packed, self.middles);
+        ToPack { rows, notes: self.old, blocks: self.blocks, packed, middles }
     }
 
-    /// Puts those of this substep, which are in order, into blocks that sweeps take, where that pays.
+    /// Says where blocks of those of this substep are; none where they are swept one by one.
     #[cfg(rigidformer_host)]
-    pub(super) fn pack(&mut self, world: &World<'_>, bodies: &Bodies<'_>) {
-        self.packed = wide::pack(world, bodies, self);
+    pub(super) fn set_packed(&mut self, packed: Option<Blocks>) {
+        self.packed = packed;
     }
 
     /// Blocks of the middles of patches, and of the others; none where contacts are swept one by one.
@@ -393,14 +403,6 @@ impl<'r> Contacts<'r> {
         let Blocks { middles, all } = self.packed?;
         let (first, rest) = self.blocks.split_at_mut_checked(middles)?;
         Some([first, rest.get_mut(..all.saturating_sub(middles))?])
-    }
-
-    /// Takes impulses out of blocks.
-    #[cfg(rigidformer_host)]
-    pub(super) fn unpack(&mut self) {
-        if let Some(Blocks { all, .. }) = self.packed {
-            wide::unpack(self, all);
-        }
     }
 
     /// How many there is room for.

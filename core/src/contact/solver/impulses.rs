@@ -2,6 +2,8 @@
 
 use super::bodies::{Bodies, FAR, Mover, World};
 use super::contacts::{CONTACT, Contact, Contacts, Held, Old};
+#[cfg(rigidformer_host)]
+use super::wide;
 use crate::geometry::{dot, norm, opposite};
 #[cfg(rigidformer_host)]
 use crate::kernels::Kernels;
@@ -334,7 +336,7 @@ pub(super) fn stop<S: Schedule>(
 ) {
     #[cfg(rigidformer_host)]
     if S::Kernels::SWEEPS {
-        contacts.pack(world, bodies);
+        wide::pack(world, bodies, contacts);
     }
     // What has a spring takes no part in settling.
     let more = if world.gives_way() { SETTLING } else { 0 };
@@ -351,7 +353,7 @@ pub(super) fn stop<S: Schedule>(
         }
     }
     #[cfg(rigidformer_host)]
-    contacts.unpack();
+    wide::unpack(contacts);
 }
 
 /// Lets contacts bounce that have an impulse.
@@ -368,7 +370,7 @@ pub(super) fn bounce<S: Schedule>(
         }
     }
     #[cfg(rigidformer_host)]
-    contacts.unpack();
+    wide::unpack(contacts);
 }
 
 /// One impulse at each contact, upwards or downwards. Whether any contact had one: where none has, the next sweep has none

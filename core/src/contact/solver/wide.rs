@@ -2,7 +2,7 @@
 //! depend on each other, so that of finite numbers the bits are those of contacts one by one.
 
 use super::bodies::{Bodies, Mover, World};
-use super::contacts::{Contact, Contacts, Held, ToPack};
+use super::contacts::{Blocks, Contact, Contacts, Held, ToPack};
 use crate::kernels::{Block, FIELDS, NOBODY, WIDE, at, put};
 use crate::scene::UnitSlot;
 
@@ -13,23 +13,17 @@ pub(super) const NUMBERS: usize =
 /// Fewer contacts are not worth it.
 const FEWEST: usize = 3 * WIDE;
 
-/// Blocks that hold a copy's contacts: of the middles of patches, and of all.
-#[derive(Clone, Copy)]
-pub(super) struct Blocks {
-    pub(super) middles: usize,
-    pub(super) all: usize,
+/// Puts the contacts of a substep, which are in order, into blocks, but where there are too few for that, or too many for the room.
+pub(super) fn pack(world: &World<'_>, bodies: &Bodies<'_>, contacts: &mut Contacts<'_>) {
+    let packed = packed(world, bodies, contacts);
+    contacts.set_packed(packed);
 }
 
-/// Puts the contacts of a substep, which are in order, into blocks. None: there are too few for that, or too many for the room.
-pub(super) fn pack(
-    world: &World<'_>,
-    bodies: &Bodies<'_>,
-    contacts: &mut Contacts<'_>,
-) -> Option<Blocks> {
+fn packed(world: &World<'_>, bodies: &Bodies<'_>, contacts: &mut Contacts<'_>) -> Option<Blocks> {
     if contacts.rows().len() < FEWEST || world.gives_way() {
         return None;
     }
-    let ToPack { rows, notes, blocks, middles } = contacts.unpacked();
+    let ToPack { rows, notes, blocks, middles, .. } = contacts.unpacked();
     let count = rows.len();
     let mut filled = 0;
     let mut ends = [0; 2];
@@ -115,9 +109,9 @@ fn fill(
 }
 
 /// Takes the impulses of contacts out of their blocks.
-pub(super) fn unpack(contacts: &mut Contacts<'_>, count: usize) {
-    let ToPack { rows, blocks, .. } = contacts.unpacked();
-    for block in blocks.iter().take(count) {
+pub(super) fn unpack(contacts: &mut Contacts<'_>) {
+    let ToPack { rows, blocks, packed, .. } = contacts.unpacked();
+    for block in blocks.iter().take(packed.map_or(0, |blocks| blocks.all)) {
         let [along, across, aside, twist, number, _, to, ..] = block;
         for lane in 0..WIDE {
             if at(to, lane) == NOBODY {

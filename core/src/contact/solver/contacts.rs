@@ -2,7 +2,6 @@
 
 use super::bodies::{Bodies, Give, Mover, Spring, World, rows};
 use super::patch::{self, Patch, Slope};
-#[cfg(rigidformer_host)]
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{

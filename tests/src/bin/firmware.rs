@@ -1,4 +1,4 @@
-//! `firmware MODEL rollout|hostile|robot|walk|drape` prints what the image of that name must print about its rollouts, `firmware
+//! `firmware MODEL rollout|contact|hostile|robot|walk|drape` prints what the image of that name must print about its rollouts, `firmware
 //! MODEL roles|shatter` what the C programs of those names must print (`roles` is `push`), `firmware MODEL sizes` the sizes of the workspace;
 //! `firmware contact` writes the points of the bodies that collide, `firmware drape` that of a sheet of cloth, `firmware walk SCENES` that of a robot, the first of a file that
 //! `rigidformer_lab.g1` made.
@@ -51,6 +51,7 @@ fn main() {
                 "rollout" => {
                     print!("{}", rollouts(&model, &bodies(), 100));
                 }
+                "contact" => print!("{}", rollout(&model, "contact", &read("contact"), 100)),
                 "robot" => print!("{}", robot(&model)),
                 "hostile" => print!("{}", rollout(&model, "contact", &read("contact"), 10)),
                 "roles" => print!("{}", roles(&model)),

@@ -114,7 +114,7 @@ fn expected(bless: bool) -> Result<Expected> {
         output(&mut command).context("the core alone must roll the scenes out")
     };
     let core = |image: &str| with(MODEL, image);
-    let poses = lines(&core("rollout")?, |line| line.starts_with("contact: "));
+    let poses = lines(&core("contact")?, |line| line.starts_with("contact: "));
     let roles = lines(&core("roles")?, |line| line.starts_with("roles: "));
     let walk = lines(&core("walk")?, |line| line.starts_with("walk: ") && line.contains("steps"));
     let drape = lines(&core("drape")?, |line| line.contains(" steps, points "));

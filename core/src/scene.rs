@@ -8,6 +8,7 @@ use crate::math;
 use crate::measure::Measure;
 use crate::stand_in::{OfCompliance, OfHealth};
 use nalgebra::{Matrix3, Point3, Vector3};
+use rigidformer_weights::ContactLaw;
 
 /// What a unit is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -604,6 +605,8 @@ pub(crate) struct Scene<'s> {
     pub(crate) second: OfCompliance<f32>,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
+    /// Of contacts that impulses act at.
+    pub(crate) contact_law: ContactLaw,
     /// Seconds of a step, or of its substeps.
     pub(crate) dt: f32,
     /// Substeps that a step is taken in, at least 1.

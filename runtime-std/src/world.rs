@@ -268,6 +268,25 @@ impl World {
         self.cell.with_dependent_mut(|_, simulator| in_own_environment(|| change(simulator)))
     }
 
+    /// Lets the network correct motion, as it does at first, or leaves it out ([`Simulator::set_network`]).
+    ///
+    /// ```
+    /// use rigidformer_runtime::core::Limits;
+    /// use rigidformer_runtime::{models::LoadedModel, world::World};
+    ///
+    /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
+    /// # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../weights/models/nano.rfm");
+    /// let model = LoadedModel::open(path)?;
+    /// let mut world = World::new(&model, Limits { units: 4, points: 256 })?;
+    /// world.set_network(false);
+    /// assert!(!world.simulator().has_network());
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub fn set_network(&mut self, corrects: bool) {
+        self.edit(|simulator| simulator.set_network(corrects));
+    }
+
     /// The model.
     pub fn model(&self) -> &LoadedModel {
         &self.cell.borrow_owner().model

@@ -4,9 +4,9 @@ use core::marker::PhantomData;
 
 use serde::{Deserialize, Serialize};
 
-use crate::layout::fields_of;
 #[cfg(feature = "health")]
-use crate::layout::{RANGED, is_left_out};
+use crate::layout::{RANGED, VERSION, is_left_out};
+use crate::layout::{RULED, fields_of};
 use crate::order::is_finite;
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
@@ -100,16 +100,22 @@ impl<'a> Header<'a> {
         if version > 2 {
             config.similarity = cursor.take("similarity")?;
         }
-        if version > 4 {
+        let has_rules = version == RULED;
+        if version > 4 && !has_rules {
             config.directions = cursor.take("directions")?;
         }
         #[cfg(feature = "deform")]
-        if version > 5 {
+        if version > 5 && !has_rules {
             config.elastic = cursor.take("elastic")?;
         }
         #[cfg(feature = "deform")]
-        if version > 6 {
+        if version > 6 && !has_rules {
             config.bonds = cursor.take("bonds")?;
+        }
+        if has_rules {
+            config.scope = cursor.scope()?;
+            config.contact_law = cursor.take("contact law")?;
+            config.most_units = cursor.take("most units")?;
         }
         config.validate()?;
         #[cfg(feature = "health")]
@@ -163,13 +169,24 @@ impl<'a> Cursor<'a> {
         Ok(value)
     }
 
+    /// Which units the network sees, where the header says so.
+    fn scope(&mut self) -> Result<crate::Scope, FormatError> {
+        match self.take("scope")? {
+            false => Ok(crate::Scope::All),
+            #[cfg(feature = "host")]
+            true => Ok(crate::Scope::Near),
+            #[cfg(not(feature = "host"))]
+            true => Err(self.error("scope")),
+        }
+    }
+
     /// The version that a model with ranges is of without them.
     #[cfg(feature = "health")]
     fn plain_version(&mut self) -> Result<u32, FormatError> {
         let version = self.take("version without ranges")?;
-        match (1..RANGED).contains(&version) && !is_left_out(version) {
+        match (1..=VERSION).contains(&version) && version != RANGED && !is_left_out(version) {
             true => Ok(version),
-            false => Err(FormatError::Version { found: version, supported: RANGED - 1 }),
+            false => Err(FormatError::Version { found: version, supported: VERSION }),
         }
     }
 

@@ -11,11 +11,14 @@ pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
 /// The newest format version that this crate reads. Without the feature `host` it does not read versions 2 and 8, without
 /// `deform` not 6 and 7, without `health` not 9. A file is of the oldest version that can hold it.
-pub const VERSION: u32 = 9;
+pub const VERSION: u32 = 10;
 
 /// The version whose files name the one that their model is of without its ranges.
 #[cfg(feature = "health")]
 pub(crate) const RANGED: u32 = 9;
+
+/// The version of models with a contact law, or a limit of what they correct.
+pub(crate) const RULED: u32 = 10;
 
 /// The version whose header has the fields of one: what sets version 8 apart from 4 is its number.
 pub(crate) const fn fields_of(version: u32) -> u32 {

@@ -104,6 +104,14 @@ pub enum ConfigError {
         /// The field that does not go with it.
         field: &'static str,
     },
+    /// A contact law, or a limit of units, with what it does not go with.
+    #[error(
+        "`{field}` goes with `motion` Impulses, without `bonds`; leave it out for other models"
+    )]
+    Rules {
+        /// The field that is there.
+        field: &'static str,
+    },
     /// Anchors attend to no level at all.
     #[error("`scales` is empty; anchors need at least one level to attend to, such as 0")]
     NoScales,
@@ -151,6 +159,8 @@ impl ModelConfig {
         elastic: crate::Elastic::NONE,
         bonds: 0,
         scope: crate::Scope::All,
+        contact_law: crate::ContactLaw::RIGID,
+        most_units: 0,
     };
 
     /// Checks every field against its limits, in the order of the fields.
@@ -213,6 +223,7 @@ impl ModelConfig {
         self.validate_bonds()?;
         #[cfg(feature = "host")]
         self.validate_scope()?;
+        self.validate_rules()?;
         if self.scales.is_empty() {
             return Err(ConfigError::NoScales);
         }
@@ -304,6 +315,22 @@ impl ModelConfig {
             _ if !self.motion.has_impulses() => amiss("motion"),
             _ if self.bonds > 0 => amiss("bonds"),
             _ => Ok(()),
+        }
+    }
+}
+
+impl ModelConfig {
+    /// Checks that a contact law, and a limit of what is corrected, are those of impulses.
+    fn validate_rules(&self) -> Result<(), ConfigError> {
+        let law = self.contact_law;
+        number("contact_law.restitution_offset", law.restitution_offset, 0.0, 1.0)?;
+        if self.motion.has_impulses() && self.bonds == 0 {
+            return Ok(());
+        }
+        match (law.is_rigid(), self.most_units) {
+            (true, 0) => Ok(()),
+            (false, _) => Err(ConfigError::Rules { field: "contact_law" }),
+            (true, _) => Err(ConfigError::Rules { field: "most_units" }),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::string::String;
 use std::vec::Vec;
 
 use crate::header::Entry;
-use crate::layout::{PREFIX_BYTES, Prefix, RANGED, crc32, fields_of};
+use crate::layout::{PREFIX_BYTES, Prefix, RANGED, RULED, crc32, fields_of};
 use crate::{
     AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Ranges, Shape,
     TENSOR_ALIGNMENT, TensorData,
@@ -168,6 +168,22 @@ impl<'a> ModelWriter<'a> {
         if version > 2 {
             out = postcard::to_extend(&self.config.similarity, out)?;
         }
+        if version == RULED {
+            let ModelConfig { scope, contact_law, most_units, .. } = self.config;
+            out = postcard::to_extend(&(scope.is_near(), contact_law, most_units), out)?;
+        } else {
+            out = self.more_fields(version, out)?;
+        }
+        if let Some(ranges) = &self.ranges {
+            out = postcard::to_extend(ranges, out)?;
+        }
+        out = counted(out, &self.provenance)?;
+        out = counted(out, &self.metrics)?;
+        counted(out, entries)
+    }
+
+    /// Appends what versions 5 to 8 add.
+    fn more_fields(&self, version: u32, mut out: Vec<u8>) -> postcard::Result<Vec<u8>> {
         if version > 4 {
             out = postcard::to_extend(&self.config.directions, out)?;
         }
@@ -177,12 +193,7 @@ impl<'a> ModelWriter<'a> {
         if version > 6 {
             out = postcard::to_extend(&self.config.bonds, out)?;
         }
-        if let Some(ranges) = &self.ranges {
-            out = postcard::to_extend(ranges, out)?;
-        }
-        out = counted(out, &self.provenance)?;
-        out = counted(out, &self.metrics)?;
-        counted(out, entries)
+        Ok(out)
     }
 
     /// The reader's word on the result, with names.

@@ -357,6 +357,26 @@ pub unsafe extern "C" fn rf_set_planes(
     }
 }
 
+/// Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them
+/// before its network corrects that, and contacts are rigid. It lasts beyond observations.
+///
+/// @param simulator  the simulator
+/// @param corrects   1 or 0
+/// @return RF_OK or an error of the call
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_network(simulator: *mut rf_simulator, corrects: u32) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            locked.simulator().set_network(corrects != 0);
+            Ok(())
+        })
+    }
+}
+
 /// Changes gravity; without this call it is the model's. It lasts beyond observations.
 ///
 /// @param simulator     the simulator

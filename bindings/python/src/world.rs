@@ -1336,6 +1336,18 @@ impl World {
         Ok(())
     }
 
+    /// Whether the network corrects motion; False: units move as they do without it, and contacts are rigid.
+    #[getter]
+    fn network(&self, py: Python<'_>) -> PyResult<bool> {
+        Ok(self.lock(py)?.simulator().has_network())
+    }
+
+    #[setter]
+    fn set_network(&self, py: Python<'_>, network: bool) -> PyResult<()> {
+        self.lock(py)?.set_network(network);
+        Ok(())
+    }
+
     // An object without entries is an object: `world or other` is the world.
     fn __bool__(&self) -> bool {
         true

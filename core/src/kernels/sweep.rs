@@ -344,9 +344,17 @@ fn resolve<V: Vector, const SETTLE: bool, const BOUNCE: bool>(
         let p = slid.minus(dot(sliding, t).times(load(heavy_across)));
         let q = slid_aside.minus(dot(sliding, b).times(load(heavy_aside)));
         let size = p.times(p).plus(q.times(q)).plus(whirl.times(whirl)).root();
-        let most = load(friction).times(after);
+        let limit = load(friction);
+        let most = V::choose(zero.above(limit), zero.minus(limit), limit).times(after);
         let share = V::choose(size.above(most), most.over(size), V::splat(1.0));
-        let (p, q, whirl) = (p.times(share), q.times(share), whirl.times(share));
+        let is_pyramid = zero.above(limit);
+        let within = |impulse: V| {
+            let least = zero.minus(most);
+            let own = V::choose(least.above(impulse), least, impulse);
+            let own = V::choose(impulse.above(most), most, own);
+            V::choose(is_pyramid, own, impulse.times(share))
+        };
+        let (p, q, whirl) = (within(p), within(q), within(whirl));
         let impulse = plus(times(t, p.minus(slid)), times(b, q.minus(slid_aside)));
         to.push(other, impulse);
         from.push(own, opposite(impulse));

@@ -23,6 +23,7 @@
 mod bond;
 mod command;
 mod copies;
+mod correction;
 #[cfg(feature = "health")]
 mod health;
 #[cfg(feature = "health")]

@@ -16,6 +16,7 @@ use crate::structure::bonds::BONDS;
 use crate::structure::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
+use rigidformer_weights::ContactLaw;
 
 /// A scene of units and the model that advances it, in memory that the caller owns.
 ///
@@ -75,6 +76,8 @@ pub struct Simulator<'m, 's> {
     pub(super) commands_stale: bool,
     /// Whether a unit that diverges is held instead of the step refused.
     pub(super) quarantines: OfHealth<bool>,
+    /// Whether the network corrects motion.
+    pub(super) has_network: bool,
 }
 
 /// The scene's surroundings as the caller gave them, in SI units.
@@ -175,6 +178,7 @@ impl<'m, 's> Simulator<'m, 's> {
                 measure: Measure::SI,
                 second: OfCompliance::new(1.0),
                 gravity,
+                contact_law: ContactLaw::RIGID,
                 dt: 0.0,
                 substeps: 1,
                 #[cfg(rigidformer_host)]
@@ -197,6 +201,7 @@ impl<'m, 's> Simulator<'m, 's> {
             commanded: false,
             commands_stale: false,
             quarantines: OfHealth::new(false),
+            has_network: true,
         })
     }
 

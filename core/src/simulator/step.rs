@@ -215,6 +215,12 @@ impl<'s> Simulator<'_, 's> {
 
     /// Leaves the network's output in `rows.head`.
     fn network<S: Schedule, T: Trace>(&mut self, schedule: S, trace: &mut T) {
+        if !self.corrects() {
+            // Nobody reads tokens then, and no bond breaks.
+            self.rows.head.fill(0.0);
+            trace.enter(Stage::Motion);
+            return;
+        }
         self.encode_and_interact(schedule, trace);
         if self.come_apart(schedule) {
             // What has come apart moves apart in this step already.

@@ -41,6 +41,8 @@ pub const PAPER: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
+    contact_law: rigidformer_weights::ContactLaw::RIGID,
+    most_units: 0,
 };
 
 /// The sizes of the committed edge model.
@@ -262,6 +264,20 @@ pub fn without_network(config: &ModelConfig) -> Result<Option<Vec<u8>>, WriteErr
     if !config.motion.has_impulses() {
         return Ok(None);
     }
+    uncorrected(config).map(Some)
+}
+
+/// As [`without_network`], of any motion: what a model's network corrects, and rigid contacts.
+///
+/// # Errors
+/// As [`without_network`].
+pub fn uncorrected(config: &ModelConfig) -> Result<Vec<u8>, WriteError> {
+    let name = match config.motion {
+        Motion::Impulses => "impulses alone",
+        Motion::Soft => "springs alone",
+        Motion::Robot => "the heading alone",
+        Motion::Free | Motion::Verlet => "free motion",
+    };
     // The least that a network can be: all of it is computed for nothing.
     let least = ModelConfig {
         width: 8,
@@ -279,18 +295,19 @@ pub fn without_network(config: &ModelConfig) -> Result<Option<Vec<u8>>, WriteErr
         directions: Directions::NONE,
         bonds: 0,
         scope: rigidformer_weights::Scope::All,
+        contact_law: rigidformer_weights::ContactLaw::RIGID,
+        most_units: 0,
         ..*config
     };
-    let written = in_own_environment(|| {
+    in_own_environment(|| {
         let mut all = tensors(&least);
         for (name, _, fill) in &mut all {
             if name.starts_with("anchors.head.") {
                 *fill = Fill::Constant(0.0);
             }
         }
-        written("impulses alone", &least, &all, Precision::F32, 1)
-    });
-    written.map(Some)
+        written(name, &least, &all, Precision::F32, 1)
+    })
 }
 
 fn random_here(

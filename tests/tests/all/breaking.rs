@@ -282,10 +282,10 @@ fn configurations_and_files_that_do_not_go_with_bonds_are_refused() {
 
     // Every version from 6 on says so in its prefix; a newer one is refused.
     let mut newer = packed.to_vec();
-    newer[8] = 10;
+    newer[8] = 11;
     let newer = AlignedBuffer::copy_of(&newer);
     let error = ModelFile::parse(&newer).err().unwrap();
-    assert_eq!(error, FormatError::Version { found: 10, supported: 9 });
+    assert_eq!(error, FormatError::Version { found: 11, supported: 10 });
 }
 
 /// Damaged anywhere, a file with bonds is refused or loads; nothing panics.

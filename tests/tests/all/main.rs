@@ -18,6 +18,7 @@ mod joints;
 mod kabsch;
 mod math;
 mod mutations;
+mod network;
 mod no_alloc;
 mod parts;
 mod pieces;

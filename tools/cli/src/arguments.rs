@@ -194,8 +194,8 @@ pub(crate) struct Evaluate {
     pub(crate) split: SplitName,
     #[command(flatten)]
     pub(crate) model: Model,
-    /// Impulses alone: the model's motion without what its network corrects
-    #[arg(long)]
+    /// Impulses alone: the model's motion without what its network corrects, and rigid contacts
+    #[arg(long, visible_alias = "no-network")]
     pub(crate) without_network: bool,
     #[command(flatten)]
     pub(crate) contact: Contact,

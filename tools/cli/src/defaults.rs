@@ -45,6 +45,12 @@ pub(crate) fn without_network(loaded: &LoadedModel) -> anyhow::Result<LoadedMode
     Ok(LoadedModel::copy_of("<impulses alone>", &packed)?)
 }
 
+/// The same motion without the network, whatever it is.
+pub(crate) fn uncorrected(loaded: &LoadedModel) -> anyhow::Result<LoadedModel> {
+    let packed = random::uncorrected(loaded.model().config())?;
+    Ok(LoadedModel::copy_of("<without the network>", &packed)?)
+}
+
 #[cfg(feature = "default-model")]
 fn embedded() -> anyhow::Result<LoadedModel> {
     Ok(LoadedModel::embedded("<default model>", rigidformer_weights::EDGE)?)

@@ -17,13 +17,14 @@ use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::progress::Progress;
+use serde_json::{Value, json};
 
 use crate::arguments::{Evaluate, usual_step};
 use crate::usage::Usage;
 use crate::viewers::{Moving, Viewers};
 use crate::{contact, defaults, interrupt, output};
 use fragments::Fragments;
-use metric::{Metric, Task};
+use metric::{Headline, Metric, Task};
 use rigid::Rigid;
 use robots::Robots;
 use soft::Soft;
@@ -125,6 +126,60 @@ fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<Made>
     run(arguments, &dataset, cancelled)
 }
 
+/// The figures of the same motion without the network.
+struct Without {
+    figures: Vec<Headline>,
+    document: Value,
+}
+
+/// What the network is worth by a figure.
+struct Gain {
+    step: u32,
+    name: &'static str,
+    with: f64,
+    without: f64,
+}
+
+impl Gain {
+    /// By how much the network lowers the figure, per cent; below 0 it raises it.
+    fn percent(&self) -> f64 {
+        if self.without > 0.0 { 100.0 * (1.0 - self.with / self.without) } else { 0.0 }
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "step": self.step, "figure": self.name, "with_network": self.with, "without_network": self.without,
+            "gain_percent": self.percent(),
+        })
+    }
+}
+
+fn gains(with: &[Headline], without: &[Headline]) -> Vec<Gain> {
+    let pairs = with.iter().zip(without);
+    pairs
+        .map(|(with, without)| Gain {
+            step: with.step,
+            name: with.name,
+            with: with.value,
+            without: without.value,
+        })
+        .collect()
+}
+
+fn print_gains(gains: &[Gain]) -> anyhow::Result<()> {
+    output::line(
+        "\nwhat the network is worth: the same motion without it, and what it takes off the error",
+    )?;
+    let mut table = output::table(["figure", "step", "with", "without", "gain"]);
+    for gain in gains {
+        let cells = [format!("{:.4}", gain.with), format!("{:.4}", gain.without)];
+        let percent = format!("{:.1} %", gain.percent());
+        let head = [gain.name.to_owned(), gain.step.to_string()];
+        output::row(&mut table, head.into_iter().chain(cells).chain([percent]));
+    }
+    output::table_lines(&table)
+}
+
 fn run_metric<M: Metric>(
     arguments: &Evaluate,
     dataset: &Dataset,
@@ -138,14 +193,39 @@ fn run_metric<M: Metric>(
     let steps = arguments.steps_or(M::STEPS);
     let task = Task { arguments, dataset, split, scenes: &scenes, loaded: &loaded, steps };
     M::check(&task)?;
-    let bar = output::progress(M::calls(&task), dataset.name());
+    // The same motion without the network stands beside every model.
+    let alone = match arguments.without_network {
+        true => None,
+        false => Some(defaults::uncorrected(&loaded)?),
+    };
+    let without = alone.as_ref().map(|alone| Task { loaded: alone, ..task });
+    let calls = M::calls(&task) + without.as_ref().map_or(0, M::calls);
+    let bar = output::progress(calls, dataset.name());
     let stepped = || bar.inc(1);
     let figures = M::measure(&task, Progress { cancelled, stepped: &stepped })?;
+    let without = match &without {
+        Some(task) => {
+            let found = M::measure(task, Progress { cancelled, stepped: &stepped })?;
+            Some(Without { figures: found.headlines(), document: found.json(task) })
+        }
+        None => None,
+    };
     bar.finish_and_clear();
     interrupt::check()?;
-    match arguments.json {
-        true => output::json(&figures.json(&task))?,
-        false => figures.print(&task)?,
+    let gains = without.as_ref().map(|without| gains(&figures.headlines(), &without.figures));
+    if arguments.json {
+        let mut document = figures.json(&task);
+        if let (Value::Object(fields), Some(without), Some(gains)) = (&mut document, without, gains)
+        {
+            fields.insert("without_network".into(), without.document["model"].clone());
+            fields.insert("gains".into(), gains.iter().map(Gain::json).collect());
+        }
+        output::json(&document)?;
+    } else {
+        figures.print(&task)?;
+        if let Some(gains) = gains {
+            print_gains(&gains)?;
+        }
     }
     // After the figures: a path that cannot be written costs none of them.
     let picture = arguments.picture.iter().map(|path| Ok((path.clone(), figures.picture(&task)?)));

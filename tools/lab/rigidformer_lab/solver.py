@@ -52,6 +52,7 @@ CORNERS = 8  # of a face, at most: its outermost points to so many sides
 SIDES = np.stack([np.cos((np.arange(CORNERS) + 0.5) * np.pi / 4), np.sin((np.arange(CORNERS) + 0.5) * np.pi / 4)], 1)
 THIN = 1e-3  # faces whose area is smaller are edges, in half squares of their length
 TOLERANCE = 1e-7  # of squared distances: a coarser one tilts normals by degrees
+SLIDES = 1e-3  # slower sliding has no direction, in approaches
 SAME = 1e-12  # faces smaller than the root of this have no slope, in radii
 LEVELS = 8  # from what does not move, that are told apart
 FAR = 1000  # level of what touches nothing that is held
@@ -64,8 +65,12 @@ PIECES = 32  # of a unit, at most
 #: piece (P, 2), start and count in the bank, that are a unit's, and of ball (P, 4), middle and radius of a ball around them, at
 #: scale 1; round (M): what all points of a unit's
 #: surface are beyond its hull, a ball's radius about one point; planes (L, 6) normal, offset, friction, restitution; gravity (3) m/s^2;
-#: lead (M): the first unit of the cluster that a unit is in, which moves as one body, or the unit itself where it is alone.
-World = namedtuple("World", "free group light inertia friction restitution radius start count scale bank first pieces piece ball round planes gravity lead")
+#: lead (M): the first unit of the cluster that a unit is in, which moves as one body, or the unit itself where it is alone; law (2): what
+#: is added to restitutions, and above 0 that contacts which bounce have a pyramid of friction along their sliding, not a cone.
+World = namedtuple(
+    "World", "free group light inertia friction restitution radius start count scale bank first pieces piece ball round planes gravity lead law",
+    defaults=(np.zeros(2),),
+)
 
 #: What does. rotation (M, 3, 3), centre (M, 3), velocity (M, 3) m/s and spin (M, 3) rad/s in the world frame.
 Motion = namedtuple("Motion", "rotation centre velocity spin")
@@ -386,6 +391,33 @@ def _bounces(w, radius, dt, h):
 
 
 @numba.njit(cache=True, nogil=True)
+def _restitution(w, product):
+    """What a pair bounces with."""
+    return min(product + w.law[0], max(product, 1.0)) if w.law[0] > 0 else product
+
+
+@numba.njit(cache=True, nogil=True)
+def _is_pyramid(w, c, k):
+    """Whether the friction of a contact has a pyramid."""
+    return w.law[1] > 0 and c.approach[k] < c.bounces[k] and c.restitution[k] > 0
+
+
+@numba.njit(cache=True, nogil=True)
+def _slide(w, s, c, count):
+    """Turns the tangents of pyramids along the sliding; the middles of patches keep theirs."""
+    for k in range(count):
+        seen, n = _relative(w, s, c, k), c.axes[k, 0]
+        c.approach[k] = np.dot(seen, n)
+        if not _is_pyramid(w, c, k) or c.middle[k]:
+            continue
+        sliding = seen - n * c.approach[k]
+        speed = _length(sliding)
+        if speed > SLIDES * -c.approach[k]:
+            c.axes[k, 1] = sliding / speed
+            c.axes[k, 2] = _cross(n, c.axes[k, 1])
+
+
+@numba.njit(cache=True, nogil=True)
 def _with_planes(w, s, dt, h, c, count):
     room = w.count.max()
     points, gaps, chosen = np.zeros((room + 1, 3)), np.zeros(room + 1), np.zeros(5, np.int64)
@@ -414,7 +446,7 @@ def _with_planes(w, s, dt, h, c, count):
                 c.i[k], c.j[k], c.piece[k], c.arm_i[k] = PLANE, j, 0, 0.0
                 c.skin[k] = 0.0
                 c.friction[k] = w.friction[j] * w.planes[plane, 4]
-                c.restitution[k] = w.restitution[j] * w.planes[plane, 5]
+                c.restitution[k] = _restitution(w, w.restitution[j] * w.planes[plane, 5])
                 c.bounces[k] = _bounces(w, w.radius[j], dt, h)
             count = upto
     return count
@@ -494,7 +526,7 @@ def _with_units(w, s, dt, h, c, count, old, old_count):
                         c.arm_j[k] -= s.centre[j]
                         c.skin[k] = SKIN * small
                         c.friction[k] = w.friction[i] * w.friction[j]
-                        c.restitution[k] = w.restitution[i] * w.restitution[j]
+                        c.restitution[k] = _restitution(w, w.restitution[i] * w.restitution[j])
                         c.bounces[k] = _bounces(w, small, dt, h)
                     count = upto
     return count
@@ -720,7 +752,9 @@ def _sweep(w, s, light, inverse, c, count, h, turn, settles, bounces):
         a = c.impulse[k, 1] - (seen[0] * u[0] + seen[1] * u[1] + seen[2] * u[2]) * c.weight[k, 1]
         b = c.impulse[k, 2] - (seen[0] * v[0] + seen[1] * v[1] + seen[2] * v[2]) * c.weight[k, 2]
         most, size = c.friction[k] * along, np.sqrt(a * a + b * b + twist * twist)
-        if size > most:
+        if _is_pyramid(w, c, k):
+            a, b, twist = max(min(a, most), -most), max(min(b, most), -most), max(min(twist, most), -most)
+        elif size > most:
             a, b, twist = a * (most / size), b * (most / size), twist * (most / size)
         if c.middle[k]:
             _spin(w, s, light, inverse, c, k, twist - c.twist[k, 1], hold_i, hold_j)
@@ -923,6 +957,8 @@ def advance(w, s, dt, parts, c, old):
                 c.arm_j[k] += arms[c.j[k]]
             if c.i[k] != PLANE and bound[c.i[k]]:
                 c.arm_i[k] += arms[c.i[k]]
+        if w.law[1] > 0:
+            _slide(w, s, c, count)
         most = max(most, count)
         fewer = -(-left // (MOST_CUT_PARTS - part))
         fewer = max(_ticks(w, s, c, count, h, ticks), fewer)

@@ -29,6 +29,8 @@ SCENES = 8
 TABLES = 10_000  # seeds from there on have tables of three pieces
 TABLE_SCENES = 8
 STEPS = (1, 5, 10)  # parts of 1/240 s
+#: Of the scenes with one: offset of restitution, and a pyramid.
+LAW, LAW_SCENES = np.array([0.05, 1.0]), 8
 POLYHEDRON, BALL = 64, 160
 GOLDEN = 2.399963  # radians from a point of a ball to the next
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -94,8 +96,9 @@ def step(w, turn, centre, velocity, spin, code):
     return np.concatenate([motion.centre, Rotation.from_matrix(motion.rotation).as_rotvec(), share[:, None]], 1)
 
 
-def fallen(seed, lead=None):
-    """A scene some time after units were let fall: the world, and rows of what a line has of the start. lead: of each of 6."""
+def fallen(seed, lead=None, law=None):
+    """A scene some time after units were let fall: the world, and rows of what a line has of the start. lead: of each of 6. law: of a world
+    in which they are thrown."""
     rng = np.random.default_rng(seed)
     units = 3 + seed % 4 if lead is None else len(lead)
     box = rng.uniform(0.04, 0.12, (units, 3))
@@ -110,8 +113,11 @@ def fallen(seed, lead=None):
         Rotation.random(units, random_state=seed).as_matrix(), centre, rng.normal(size=(units, 3)) * 0.1,
         rng.normal(size=(units, 3)),
     )  # fmt: skip
+    if law is not None:
+        w = w._replace(law=law)
+        motion.velocity[:] *= 10
     contacts = room(units)
-    for _ in range(int(rng.integers(60, 300))):
+    for _ in range(int(rng.integers(60, 300) if law is None else rng.integers(20, 90))):
         advance(w, motion, 1 / 240, 1, *contacts)
     turn = Rotation.from_matrix(motion.rotation).as_rotvec()
     state = [np.round(v, 6) for v in (turn, motion.centre, motion.velocity, motion.spin)]
@@ -181,6 +187,22 @@ def cluster_lines():
             yield f"{scene} " + " ".join(f"{v + 0.0:.7f}".rstrip("0").rstrip(".") for v in row) + f" {first}"
 
 
+def law_lines():
+    """The file with a contact law, line by line: of scenes that it changes."""
+    kept = []
+    for seed in itertools.count(0):
+        w, given = fallen(seed, law=LAW)
+        plain = step(w._replace(law=np.zeros(2)), *given[2:], STEPS[0])
+        ends = ends_from(seed, w, given)
+        if ends and np.abs(plain - ends[1][0]).max() > 1e-3:
+            kept.append(ends)
+        if len(kept) == LAW_SCENES:
+            break
+    for scene, (given, ends) in enumerate(kept):
+        for row in np.concatenate(given + ends, 1):
+            yield f"{scene} " + " ".join(f"{v + 0.0:.7f}".rstrip("0").rstrip(".") for v in row)
+
+
 def lines():
     """The file, line by line."""
     kept = []
@@ -195,9 +217,12 @@ def lines():
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("out", type=pathlib.Path)
-    parser.add_argument("--clusters", action="store_true", help="scenes with clusters")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--clusters", action="store_true", help="scenes with clusters")
+    kind.add_argument("--law", action="store_true", help="scenes with a contact law")
     args = parser.parse_args()
-    args.out.write_text("".join(f"{line}\n" for line in (cluster_lines() if args.clusters else lines())))
+    found = cluster_lines() if args.clusters else law_lines() if args.law else lines()
+    args.out.write_text("".join(f"{line}\n" for line in found))
 
 
 if __name__ == "__main__":

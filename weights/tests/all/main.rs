@@ -9,5 +9,6 @@ mod no_alloc;
 mod panels;
 mod ranges;
 mod round_trip;
+mod rules;
 mod similarity;
 mod soft;

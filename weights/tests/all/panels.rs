@@ -116,9 +116,9 @@ fn a_file_is_of_the_oldest_version_that_holds_it() {
     // Where version 1 has the number of provenance entries, version 2 has the hidden widths.
     assert!(matches!(error(&older), FormatError::Header { .. } | FormatError::Text { .. }));
     let mut panels = packed(ModelConfig::TINY, &values(), &sums()).unwrap();
-    panels[8] = 10;
+    panels[8] = 11;
     assert!(repair(&mut panels));
-    assert_eq!(error(&panels), FormatError::Version { found: 10, supported: 9 });
+    assert_eq!(error(&panels), FormatError::Version { found: 11, supported: 10 });
 }
 
 #[test]

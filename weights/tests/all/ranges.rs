@@ -98,15 +98,15 @@ fn the_version_without_ranges_is_one_that_the_model_needs() {
     // Right before the ranges, as version 1 has no more fields.
     let at = place(&bytes) - 1;
     assert_eq!(bytes[at], 1);
-    for version in [0, 9, 10, 127] {
+    for version in [0, 9, 11, 127] {
         let mut hostile = bytes.clone();
         hostile[at] = version;
         assert!(repair(&mut hostile));
         let found = u32::from(version);
-        assert_eq!(error(&hostile), FormatError::Version { found, supported: 8 });
+        assert_eq!(error(&hostile), FormatError::Version { found, supported: 10 });
     }
     // Such a model needs no other version; its fields are not there either.
-    for version in 2..9 {
+    for version in (2..9).chain([10]) {
         let mut hostile = bytes.clone();
         hostile[at] = version;
         assert!(repair(&mut hostile));

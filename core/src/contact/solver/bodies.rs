@@ -8,6 +8,7 @@ use crate::geometry::{
 use crate::math;
 use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
+use rigidformer_weights::FrictionLimit;
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
 /// lands would bounce on for ever.
@@ -148,6 +149,12 @@ pub(super) struct Spring {
 }
 
 impl<'s> World<'s> {
+    /// Whether contacts that bounce have pyramids of friction.
+    #[inline(always)]
+    pub(super) fn has_pyramids(&self) -> bool {
+        self.scene.contact_law.friction == FrictionLimit::Pyramid
+    }
+
     pub(super) fn new(scene: &'s Scene<'s>, first: usize, substeps: u8) -> Self {
         let (_, units) = scene.around(first);
         let substep_s = scene.dt / f32::from(substeps);

@@ -21,6 +21,8 @@ pub(super) const FACE: f32 = 0.03;
 const APART: f32 = 0.02;
 /// Of a unit vector some component is at most 1 / sqrt(3). Crossing with its axis gives tangents that are far from zero.
 const SEED: f32 = 0.577;
+/// Slower sliding has no direction, in approaches.
+const SLIDES: f32 = 1e-3;
 
 /// From this square of its phase (radians a substep) on a spring ends a substep where it would rest.
 const SETTLES: f32 = 4.0;
@@ -68,6 +70,7 @@ pub(super) struct Contact {
     pub(super) arms: [Vector3<f32>; 2],
     /// Less what the units keep between them, metres.
     pub(super) gap: f32,
+    /// Coefficient of a cone; below 0 it is of a pyramid, less.
     pub(super) friction: f32,
     /// Speed after a bounce, m/s; 0: it does not bounce. Below 0 the contact gives way, and this is less what a change of its speed
     /// changes of the impulse of its spring and damper, kg.
@@ -605,7 +608,7 @@ impl<'r> Contacts<'r> {
             normal,
             skin: 0.0,
             friction: unit.physics.friction * plane.friction,
-            restitution: unit.physics.restitution * plane.restitution,
+            restitution: restitution(world, unit.physics.restitution * plane.restitution),
             give: world.give_on(unit, number),
             bounces: world.bounces(unit.radius),
         };
@@ -761,20 +764,28 @@ impl<'r> Contacts<'r> {
                 }
             }
             let [own, other] = arms;
-            let approach = dot(&(to.speed_at(&other) - from.speed_at(&own)), &pair.normal);
+            let relative = to.speed_at(&other) - from.speed_at(&own);
+            let approach = dot(&relative, &pair.normal);
+            let rebound = if approach < -pair.bounces { -pair.restitution * approach } else { 0.0 };
+            let is_middle = patch.has_middle && number == 0;
+            let is_pyramid = world.has_pyramids() && rebound > 0.0 && spring.is_none();
+            let tangent = match is_pyramid {
+                true => along_sliding(&relative, &pair.normal, approach).unwrap_or(tangent),
+                false => tangent,
+            };
             let mut contact = Contact {
                 impulse: [0.0; 3],
                 from: pair.from,
                 to: pair.to,
                 piece: pair.piece,
                 held: Held::Neither,
-                is_middle: patch.has_middle && number == 0,
+                is_middle,
                 arms,
                 gap: gap - pair.skin - rounding,
-                friction: pair.friction,
-                rebound: if approach < -pair.bounces { -pair.restitution * approach } else { 0.0 },
+                friction: if is_pyramid { -pair.friction } else { pair.friction },
+                rebound,
                 normal: pair.normal,
-                tangent: if patch.has_middle && number == 0 { Vector3::zeros() } else { tangent },
+                tangent: if is_middle { Vector3::zeros() } else { tangent },
                 weight: [0.0; 3],
                 stiffness: 1.0,
             };
@@ -874,7 +885,7 @@ impl<'a> Approach<'a> {
             normal: Vector3::zeros(),
             skin: world.skin(small),
             friction: unit.physics.friction * other.physics.friction,
-            restitution: unit.physics.restitution * other.physics.restitution,
+            restitution: restitution(world, unit.physics.restitution * other.physics.restitution),
             give: world.give(unit, other),
             bounces: world.bounces(small),
         };
@@ -977,6 +988,24 @@ fn gap_rounding(world: &World<'_>, bodies: &Bodies<'_>, pair: &Pair) -> f32 {
 /// The weight of what gives so much way, kg; 0 of what nothing moves.
 fn weight(soft: f32) -> f32 {
     if soft > 0.0 { 1.0 / soft } else { 0.0 }
+}
+
+/// What a pair bounces with, by the contact law: the product of the two, and more.
+fn restitution(world: &World<'_>, product: f32) -> f32 {
+    let offset = world.scene.contact_law.restitution_offset;
+    // What gains by a bounce does so by no more than its own coefficients say.
+    if offset > 0.0 { (product + offset).min(product.max(1.0)) } else { product }
+}
+
+/// The direction of sliding at a contact; none where it is slow beside the approach.
+fn along_sliding(
+    relative: &Vector3<f32>,
+    normal: &Vector3<f32>,
+    approach: f32,
+) -> Option<Vector3<f32>> {
+    let sliding = relative - normal * approach;
+    let speed = math::sqrt(dot(&sliding, &sliding));
+    (speed > SLIDES * -approach).then(|| sliding / speed)
 }
 
 /// A unit vector across another one.

@@ -451,6 +451,29 @@ fn positive(number: f32) -> f32 {
     if number > 0.0 { number } else { 0.0 }
 }
 
+/// Impulses of friction along both tangents, and of a twist at its arm, within what an impulse along the normal allows.
+#[inline]
+fn limited([p, q, r]: [f32; 3], friction: f32, along: f32) -> [f32; 3] {
+    // A pyramid's directions have a limit each.
+    if friction < 0.0 {
+        let most = -friction * along;
+        let within = |impulse: f32| {
+            if impulse > most {
+                most
+            } else if impulse < -most {
+                -most
+            } else {
+                impulse
+            }
+        };
+        return [within(p), within(q), within(r)];
+    }
+    // Coulomb's cone, round: all directions share one limit, and so does a twist at its arm.
+    let (most, size) = (friction * along, math::sqrt((p * p + q * q) + r * r));
+    let share = if size > most { most / size } else { 1.0 };
+    [p * share, q * share, r * share]
+}
+
 /// Lets friction act within what `along` allows: against sliding, and at the middle of a patch against a spin about the normal too. The
 /// first unit is [`Mover::STILL`] for a plane.
 #[inline]
@@ -465,18 +488,15 @@ fn rub(contact: &Contact, along: f32, [from, to]: [&mut Mover; 2], row: &mut [f3
         let turn = n * ((r - twist) * arm);
         sliding += to.turned_at(&turn, other) + from.turned_at(&turn, own);
     }
-    let p = across - dot(&sliding, &t) * heavy_across;
-    let q = aside - dot(&sliding, &b) * heavy_aside;
-    // Coulomb's cone, round: all directions share one limit, and so does a twist at its arm.
-    let (most, size) = (contact.friction * along, math::sqrt((p * p + q * q) + r * r));
-    let share = if size > most { most / size } else { 1.0 };
-    let [p, q] = [p * share, q * share];
+    let sought = across - dot(&sliding, &t) * heavy_across;
+    let sought_aside = aside - dot(&sliding, &b) * heavy_aside;
+    let (p, q);
+    [p, q, r] = limited([sought, sought_aside, r], contact.friction, along);
     let push = t * (p - across) + b * (q - aside);
     to.apply_impulse(other, &push);
     from.apply_impulse(own, &opposite(&push));
     Contact::write_impulse(&[along, p, q], row);
     if contact.is_middle {
-        r *= share;
         let turn = n * ((r - twist) * arm);
         to.twist(&turn);
         from.twist(&opposite(&turn));

@@ -14,6 +14,7 @@ use crate::measure::Measure;
 use crate::scene::{Compliance, Physics, Unit};
 use crate::stand_in::OfCompliance;
 use nalgebra::{Matrix3, Point3, Vector3};
+use rigidformer_weights::{ContactLaw, FrictionLimit};
 use std::{format, vec, vec::Vec};
 
 mod closed_forms;
@@ -30,6 +31,7 @@ struct World {
     planes: Vec<Plane>,
     plane_compliance: [Compliance; MAX_PLANES],
     gravity: Vector3<f32>,
+    contact_law: ContactLaw,
     dt: f32,
     scratch: Vec<f32>,
     prior: Vec<f32>,
@@ -45,6 +47,7 @@ impl World {
             planes: vec![Plane::ground(1.0, 1.0)],
             plane_compliance: [Compliance::RIGID; MAX_PLANES],
             gravity: Vector3::new(0.0, 0.0, -9.81),
+            contact_law: ContactLaw::RIGID,
             dt,
             scratch: Vec::new(),
             prior: Vec::new(),
@@ -104,6 +107,7 @@ impl World {
             measure: Measure::SI,
             second: OfCompliance::new(1.0),
             gravity: self.gravity,
+            contact_law: self.contact_law,
             dt: self.dt,
             substeps: 1,
             #[cfg(rigidformer_host)]
@@ -614,6 +618,34 @@ fn steps_are_those_of_the_lab() {
     check_against_the_lab(include_str!("cases.txt"), |_, _| ());
 }
 
+/// As [`steps_are_those_of_the_lab`], of thrown units with a contact law, which changes each scene.
+#[test]
+fn steps_with_a_contact_law_are_those_of_the_lab() {
+    let law = ContactLaw { restitution_offset: 0.05, friction: FrictionLimit::Pyramid };
+    check_against_the_lab(include_str!("law.txt"), |world, _| world.contact_law = law);
+}
+
+/// Of a drop: the offset adds to the restitution, up to 1, and what gains energy by its own coefficients goes on to.
+#[test]
+fn an_offset_adds_to_the_restitution() {
+    let speed_after = |restitution: f32, restitution_offset: f32| {
+        let mut world = World::new(1.0 / 240.0);
+        world.gravity = Vector3::new(0.0, 0.0, -1e-3);
+        world.contact_law = ContactLaw { restitution_offset, ..ContactLaw::RIGID };
+        world.add(&ball(0.1, 160), at(0.0, 0.0, 0.11)).physics.restitution = restitution;
+        world.throw(0, Vector3::new(0.0, 0.0, -1.0), Vector3::zeros());
+        world.run(0.1);
+        let [velocity, _] = world.motion(0);
+        velocity.z
+    };
+    for (restitution, offset, expected) in
+        [(0.3, 0.0, 0.3), (0.3, 0.05, 0.35), (0.0, 0.05, 0.05), (0.98, 0.05, 1.0), (1.2, 0.05, 1.2)]
+    {
+        let speed = speed_after(restitution, offset);
+        assert!((speed - expected).abs() < 2e-3, "{restitution} + {offset}: {speed}");
+    }
+}
+
 /// `bond` is told the rows of a scene's units.
 fn check_against_the_lab(cases: &str, bond: impl Fn(&mut World, &[Vec<f32>])) {
     let cases: Vec<Vec<f32>> = cases
@@ -833,8 +865,8 @@ fn what_flies_alone_is_left_out() {
 /// 48 boxes and balls fall onto each other, one of them driven and one fixed; the bits of all steps, and how many numbers of blocks were
 /// written.
 #[cfg(rigidformer_host)]
-fn heap_bits(dt: f32, missing: usize) -> (Vec<u32>, usize) {
-    let mut world = World { missing, ..World::new(dt) };
+fn heap_bits(dt: f32, missing: usize, contact_law: ContactLaw) -> (Vec<u32>, usize) {
+    let mut world = World { missing, contact_law, ..World::new(dt) };
     let (cube, sphere, mut state) = (cuboid(0.1, 0.1, 0.1), ball(0.06, 40), 7);
     for number in 0..48 {
         let [x, y, z] = [number % 4, number / 4 % 3, number / 12].map(|n| n as f32 * 0.13);
@@ -867,12 +899,19 @@ fn heap_bits(dt: f32, missing: usize) -> (Vec<u32>, usize) {
 #[test]
 #[cfg(rigidformer_host)]
 fn sweeps_over_blocks_and_boxes_of_units_change_no_bit() {
-    for dt in [1.0 / 240.0, 1.0 / 24.0] {
-        let (bits, written) = heap_bits(dt, 0);
+    let law = ContactLaw { restitution_offset: 0.05, friction: FrictionLimit::Pyramid };
+    assert!(heap_bits(1.0 / 240.0, 0, law).0 != heap_bits(1.0 / 240.0, 0, ContactLaw::RIGID).0);
+    for (dt, law) in
+        [(1.0 / 240.0, ContactLaw::RIGID), (1.0 / 24.0, ContactLaw::RIGID), (1.0 / 24.0, law)]
+    {
+        let (bits, written) = heap_bits(dt, 0, law);
         assert!(written > 0, "there were blocks");
         // Without room for blocks, and without that for balls and boxes too, which are of all pairs then.
         for missing in [super::wide::NUMBERS, super::extra(48)] {
-            assert!(heap_bits(dt, missing).0 == bits, "steps of {dt} s without {missing} numbers");
+            assert!(
+                heap_bits(dt, missing, law).0 == bits,
+                "steps of {dt} s without {missing} numbers"
+            );
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::identity::identity;
 use super::layout::{
     BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, HEAD, MAGIC,
-    PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
+    NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
@@ -375,7 +375,7 @@ impl Simulator<'_, '_> {
         if cfg!(not(feature = "compliance")) && checked.gives_way() {
             return Err(SnapshotError::LeftOut);
         }
-        ensure(checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY, HEAD + 4)
+        ensure(checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK, HEAD + 4)
     }
 
     /// Names, and what hangs from what.

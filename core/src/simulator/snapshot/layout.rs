@@ -33,6 +33,8 @@ pub(super) const COMMANDED: u32 = 1;
 pub(super) const QUARANTINES: u32 = 2;
 /// Contact of a plane or a unit gives way: each of them has [`COMPLIANCE`] words more.
 pub(super) const GIVES_WAY: u32 = 4;
+/// The network does not correct motion.
+pub(super) const NO_NETWORK: u32 = 8;
 /// Words of how contact gives way.
 pub(super) const COMPLIANCE: usize = 2;
 

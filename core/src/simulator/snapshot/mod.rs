@@ -24,7 +24,8 @@ use crate::scene::{Compliance, UnitSlot};
 use crate::slices::slice_at;
 use core::ops::Range;
 use layout::{
-    BALL, COMMANDED, END, GIVES_WAY, HEAD, MAGIC, PATCH, PIECES, QUARANTINES, VERSION, code_of,
+    BALL, COMMANDED, END, GIVES_WAY, HEAD, MAGIC, NO_NETWORK, PATCH, PIECES, QUARANTINES, VERSION,
+    code_of,
 };
 use nalgebra::Vector3;
 use words::{Compare, Count, Sink, WORD, Writer};
@@ -198,7 +199,8 @@ impl Simulator<'_, '_> {
         let quarantines = self.quarantines.get().is_some_and(|holds| *holds);
         let commanded = if self.commanded { COMMANDED } else { 0 };
         let giving = if gives_way { GIVES_WAY } else { 0 };
-        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving);
+        let network = if self.has_network { 0 } else { NO_NETWORK };
+        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving | network);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());

@@ -1,7 +1,7 @@
 //! A simulator's state from a snapshot that was checked: nothing here fails.
 
 use super::check::Checked;
-use super::layout::{COMMANDED, COPY_COURSE, QUARANTINES};
+use super::layout::{COMMANDED, COPY_COURSE, NO_NETWORK, QUARANTINES};
 use crate::geometry::POSE;
 use crate::scene::{Compliance, Quarantine, Role, UnitId, UnitSlot};
 use crate::simulator::state::Simulator;
@@ -36,6 +36,7 @@ impl Simulator<'_, '_> {
         // Names stay unique in a simulator that goes back.
         self.next_id = self.next_id.max(checked.next_id());
         self.commanded = checked.flags() & COMMANDED != 0;
+        self.has_network = checked.flags() & NO_NETWORK == 0;
         self.quarantines = OfHealth::new(checked.flags() & QUARANTINES != 0);
         let (mut start, mut hull_start, mut at) = (0, 0, checked.start_of_points());
         let points = checked.points();

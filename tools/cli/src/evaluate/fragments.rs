@@ -6,7 +6,7 @@ use rigidformer_evaluation::soft::{FRAMES, LAST_FRAME};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use super::metric::{Metric, Task};
+use super::metric::{Headline, Metric, Task};
 use crate::output;
 use crate::usage::{Usage, check_steps};
 
@@ -78,6 +78,14 @@ impl Metric for Fragments {
             }
         }
         Ok(Fragments { ours, others, plain })
+    }
+
+    fn headlines(&self) -> Vec<Headline> {
+        let of_row = |row: &Row| {
+            let value = row.figures.at_frames().into_iter().flatten().last()?.vertex_m;
+            Some(Headline { step: row.step, name: "points at the last frame, m", value })
+        };
+        self.ours.iter().filter_map(of_row).collect()
     }
 
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {

@@ -9,6 +9,7 @@ use crate::arguments::Evaluate;
 use crate::loading::load_scenes;
 
 /// Scenes, and the model that predicts them.
+#[derive(Clone, Copy)]
 pub(super) struct Task<'t> {
     pub(super) arguments: &'t Evaluate,
     pub(super) dataset: &'t Dataset,
@@ -24,6 +25,14 @@ impl Task<'_> {
     pub(super) fn model_name(&self) -> &str {
         self.loaded.model().file().name()
     }
+}
+
+/// A figure by which a model is compared with the same motion without its network.
+pub(super) struct Headline {
+    pub(super) step: u32,
+    /// With its unit.
+    pub(super) name: &'static str,
+    pub(super) value: f64,
 }
 
 /// The figures of scenes of one kind.
@@ -52,6 +61,9 @@ pub(super) trait Metric: Sized {
 
     /// Predicts all scenes, and compares them with the record.
     fn measure(task: &Task<'_>, progress: Progress<'_>) -> anyhow::Result<Self>;
+
+    /// What the model is compared by with the same motion without its network, of each step code.
+    fn headlines(&self) -> Vec<Headline>;
 
     /// Prints the figures.
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()>;

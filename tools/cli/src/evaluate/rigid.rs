@@ -8,7 +8,7 @@ use rigidformer_runtime::progress::Progress;
 use serde_json::Value;
 
 use super::joining::cell;
-use super::metric::{Metric, Task};
+use super::metric::{Headline, Metric, Task};
 use crate::arguments::STEPS;
 use crate::loading::plain;
 use crate::{output, picture};
@@ -44,6 +44,21 @@ impl Metric for Rigid {
         let (dataset, split) = (task.dataset, task.split);
         let found = figures::evaluate(task.loaded, dataset, split, task.scenes, how, progress);
         Ok(Rigid(found.map_err(plain)?))
+    }
+
+    fn headlines(&self) -> Vec<Headline> {
+        let of_step = |(step, figures): &(u32, Figures)| {
+            let [.., last] = figures.errors;
+            [
+                Headline { step: *step, name: "position at frame 100, m", value: last.position_m },
+                Headline {
+                    step: *step,
+                    name: "orientation at frame 100, degrees",
+                    value: last.orientation_rms_deg,
+                },
+            ]
+        };
+        self.0.by_step.iter().flat_map(of_step).collect()
     }
 
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {

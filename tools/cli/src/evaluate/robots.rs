@@ -12,7 +12,7 @@ use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use super::joining::cell;
-use super::metric::{Metric, Task};
+use super::metric::{Headline, Metric, Task};
 use crate::loading::load_scenes;
 use crate::output;
 use crate::usage::Usage;
@@ -101,6 +101,18 @@ impl Metric for Robots {
             }
         }
         Ok(Robots { ours, others })
+    }
+
+    fn headlines(&self) -> Vec<Headline> {
+        let of_row = |row: &Row| {
+            let (_, last) = row.curve.last()?;
+            Some(Headline {
+                step: row.step,
+                name: "links at the last frame, m",
+                value: last.position_m,
+            })
+        };
+        self.ours.iter().filter_map(of_row).collect()
     }
 
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {

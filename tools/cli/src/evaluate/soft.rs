@@ -5,7 +5,7 @@ use rigidformer_evaluation::soft::{self, Baseline, FRAMES, Figures, LAST_FRAME};
 use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
-use super::metric::{Metric, Task};
+use super::metric::{Headline, Metric, Task};
 use crate::output;
 use crate::usage::{Usage, check_steps};
 
@@ -57,6 +57,14 @@ impl Metric for Soft {
         let step = task.steps.first().copied().unwrap_or_default();
         let figures = soft::of_record(task.scenes, step);
         Ok(Soft { ours, others, record: Row { name: "recorded".into(), step, figures } })
+    }
+
+    fn headlines(&self) -> Vec<Headline> {
+        let of_row = |row: &Row| {
+            let value = row.figures.errors.last()?.vertex_m;
+            Some(Headline { step: row.step, name: "points at the last frame, m", value })
+        };
+        self.ours.iter().filter_map(of_row).collect()
     }
 
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {

@@ -12,7 +12,7 @@ use rigidformer_runtime::progress::Progress;
 use serde_json::{Value, json};
 
 use super::joining::cell;
-use super::metric::{Metric, Task};
+use super::metric::{Headline, Metric, Task};
 use crate::arguments::STEPS;
 use crate::picture::Toss;
 use crate::{output, picture};
@@ -57,6 +57,16 @@ impl Metric for Tosses {
             by_step.push((*step, open_loop::model(task.loaded, scenes, *step, progress)?));
         }
         Ok(Tosses { by_step, joined })
+    }
+
+    fn headlines(&self) -> Vec<Headline> {
+        let of_step = |(step, figures): &(u32, Figures)| {
+            [
+                Headline { step: *step, name: "position, m", value: figures.position_m.0 },
+                Headline { step: *step, name: "rotation, degrees", value: figures.rotation_deg.0 },
+            ]
+        };
+        self.by_step.iter().flat_map(of_step).collect()
     }
 
     fn print(&self, task: &Task<'_>) -> anyhow::Result<()> {

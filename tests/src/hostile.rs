@@ -39,6 +39,8 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
+    contact_law: rigidformer_core::weights::ContactLaw::RIGID,
+    most_units: 0,
 };
 
 /// As [`SMALLEST`], told of impacts between hulls: the geometry that sees what is observed first.

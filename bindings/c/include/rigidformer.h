@@ -1362,6 +1362,17 @@ rf_status rf_set_planes(struct rf_simulator *simulator,
                         size_t count);
 
 /**
+ * Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them
+ * before its network corrects that, and contacts are rigid. It lasts beyond observations.
+ *
+ * @param simulator  the simulator
+ * @param corrects   1 or 0
+ * @return RF_OK or an error of the call
+ */
+rf_status rf_set_network(struct rf_simulator *simulator,
+                         uint32_t corrects);
+
+/**
  * Changes gravity; without this call it is the model's. It lasts beyond observations.
  *
  * @param simulator     the simulator

@@ -209,6 +209,7 @@ def sound_calls(nano, scene, folder, random):
         "World.gravity_m_s2": (setting(world, "gravity_m_s2"), {"value": np.ones(3, f32)}),
         "World.planes": (setting(world, "planes"), {"value": [plane]}),
         "World.quarantine": (setting(world, "quarantine"), {"value": True}),
+        "World.network": (setting(world, "network"), {"value": False}),
         "Dataset": (rf.Dataset, {"path": folder / "saved.safetensors"}),
         "Dataset.from_bytes": (
             rf.Dataset.from_bytes, {"data": (folder / "saved.safetensors").read_bytes(), "name": "mine"}

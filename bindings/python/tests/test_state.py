@@ -113,11 +113,12 @@ def test_a_snapshot_goes_on_within_other_limits_and_on_other_kernels():
 def test_copies_go_on_by_themselves():
     world = rigid("edge")
     world.quarantine = True
+    world.network = False
     others = [world.copy(), copy.copy(world), copy.deepcopy({"of": world})["of"], pickle.loads(pickle.dumps(world))]
     then = world.snapshot()
     first = world.rollout(30)
     for other in others:
-        assert other.ids == world.ids and other.snapshot() == then and other.quarantine
+        assert other.ids == world.ids and other.snapshot() == then and other.quarantine and not other.network
         assert (other.rollout(30) == first).all()
         other.remove(other.ids[0])
     assert len(world) == 3

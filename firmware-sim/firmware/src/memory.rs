@@ -6,7 +6,8 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::{
-    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Similarity,
+    ContactLaw, Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope,
+    Similarity,
 };
 
 /// The configuration of the model in flash; images check that it is that.
@@ -39,6 +40,8 @@ pub const CONFIG: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: Scope::All,
+    contact_law: ContactLaw::RIGID,
+    most_units: 0,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(all(feature = "walk", not(feature = "drape")))]
@@ -69,6 +72,8 @@ pub const CONFIG: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: Scope::All,
+    contact_law: ContactLaw::RIGID,
+    most_units: 0,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(feature = "drape")]
@@ -109,6 +114,8 @@ pub const CONFIG: ModelConfig = ModelConfig {
     },
     bonds: 0,
     scope: Scope::All,
+    contact_law: ContactLaw::RIGID,
+    most_units: 0,
 };
 /// Units that a scene may have: ten bodies, the 31 links of a robot, or the eight patches of a sheet and a sphere.
 pub const UNITS: usize = match (cfg!(feature = "drape"), cfg!(feature = "walk")) {

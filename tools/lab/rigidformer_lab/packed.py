@@ -40,8 +40,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     data = pathlib.Path(path).read_bytes()
     magic, version, header_length, payload_offset, length, header_crc, payload_crc = struct.unpack_from("<8sIIQQII", data)
     header, payload = data[64 : 64 + header_length], data[payload_offset:]
-    if magic != b"RFMODEL\0" or version not in range(1, 10):
-        raise SystemExit(f"{path}: not a packed model of version 1 to 9; make one with `rigidformer pack`")
+    if magic != b"RFMODEL\0" or version not in range(1, 11):
+        raise SystemExit(f"{path}: not a packed model of version 1 to 10; make one with `rigidformer pack`")
     if len(payload) != length or zlib.crc32(header) != header_crc or zlib.crc32(payload) != payload_crc:
         raise SystemExit(f"{path}: damaged or cut short; copy it again")
     cursor = Cursor(header)
@@ -51,7 +51,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     cursor.at += CONFIG_REST
     ranged = version == 9  # the version without ranges follows
     version = cursor.varint() if ranged else version
-    version = 4 if version == 8 else version  # it has the fields of that one
+    has_rules = version == 10
+    version = 4 if version in (8, 10) else version  # they have the fields of that one, and 10 more behind them
     if version > 1:  # hidden widths
         for _ in range(3):
             cursor.varint()
@@ -66,6 +67,9 @@ def opened(path) -> tuple[Cursor, bytes]:
         cursor.at += 4
     if version > 6:  # bonds
         cursor.varint()
+    if has_rules:  # scope, restitution offset, shape of friction, most units
+        cursor.at += 1 + 4
+        cursor.varint(), cursor.varint()
     if ranged:  # what training saw
         cursor.at += RANGES
     return cursor, payload

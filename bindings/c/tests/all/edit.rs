@@ -207,6 +207,12 @@ fn changes_have_the_bits_of_the_core() {
             core.set_dt(0.03).unwrap();
             both(core);
 
+            assert_eq!(rf_set_network(handle, 0), RF_OK);
+            core.set_network(false);
+            both(core);
+            assert_eq!(rf_set_network(handle, 1), RF_OK);
+            core.set_network(true);
+
             let (there, here) = (at(0.1, 0.0, 0.5), at(0.11, 0.0, 0.5));
             assert_eq!(rf_set_poses(handle, cube, &there, &here), RF_OK);
             core.set_poses(named[1], &isometry(0.1, 0.5), &isometry(0.11, 0.5)).unwrap();
@@ -440,6 +446,7 @@ fn null_and_odd_pointers_are_refused() {
                 rf_set_role(null_mut(), cube, RF_ROLE_FIXED),
                 rf_set_planes(null_mut(), &WALL, 1),
                 rf_set_gravity(null_mut(), [0.0; 3].as_ptr()),
+                rf_set_network(null_mut(), 0),
                 rf_set_dt(null_mut(), DT_S),
             ] {
                 assert_eq!(status, RF_ERROR_NULL);

@@ -46,6 +46,8 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     elastic: rigidformer_weights::Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
+    contact_law: rigidformer_weights::ContactLaw::RIGID,
+    most_units: 0,
 };
 
 /// A packed model of that configuration: what [`model`] makes, for which an interpreter needs long.

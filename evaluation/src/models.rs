@@ -13,7 +13,7 @@ pub mod random;
 pub use error::{PackError, SourceProblem};
 pub use export::{ExportError, ExportProblem};
 pub use pack::{pack, pack_bytes, packed};
-pub use provenance::{with_provenance, with_ranges, with_rules, with_scope};
+pub use provenance::{with_metrics, with_provenance, with_ranges, with_rules, with_scope};
 pub use quantise::{
     LayerReport, Policy, Precision, Quantised, WIDE, WIDE_MIXED, quantise, quantised, sqnr_db,
 };

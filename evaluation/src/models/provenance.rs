@@ -89,11 +89,35 @@ fn kept(file: &ModelFile<'_>) -> Option<Ranges> {
     file.ranges().copied()
 }
 
+/// A packed model with more figures, such as errors and what they are without the network; one replaces another of its name. Errors
+/// call the model `name`. Everything else stays, tensors byte for byte.
+///
+/// # Errors
+/// As [`with_provenance`]; [`PackError::Write`] where a figure is not finite.
+pub fn with_metrics(
+    name: &Path,
+    packed: &[u8],
+    metrics: &[(String, f32)],
+) -> Result<Vec<u8>, PackError> {
+    written(name, packed, (&[], metrics), |config| config, kept)
+}
+
 /// The same model with more provenance, another configuration and other ranges.
 fn rewritten(
     name: &Path,
     packed: &[u8],
     entries: &[(String, String)],
+    change: impl Fn(ModelConfig) -> ModelConfig,
+    ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
+) -> Result<Vec<u8>, PackError> {
+    written(name, packed, (entries, &[]), change, ranges)
+}
+
+/// As [`rewritten`], with more figures too.
+fn written(
+    name: &Path,
+    packed: &[u8],
+    (entries, metrics): (&[(String, String)], &[(String, f32)]),
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
@@ -115,7 +139,14 @@ fn rewritten(
         }
     }
     for (metric, value) in file.metrics() {
-        writer = writer.metric(metric, value);
+        let newer = metrics.iter().rev().find(|(newer, _)| newer == metric);
+        writer = writer.metric(metric, newer.map_or(value, |(_, value)| *value));
+    }
+    for (number, (metric, value)) in metrics.iter().enumerate() {
+        let later = metrics.iter().skip(number + 1).any(|(later, _)| later == metric);
+        if !later && !file.metrics().any(|(known, _)| known == metric) {
+            writer = writer.metric(metric, *value);
+        }
     }
     for tensor in file.tensors() {
         writer = writer.tensor(tensor.name, tensor.shape, tensor.data);

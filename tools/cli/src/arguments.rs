@@ -352,6 +352,7 @@ Examples:
   rigidformer pack edge.rfm --dtype i8 --panels --out edge-panels.rfm
   rigidformer pack nano.rfm --provenance runs.toml --out nano.rfm
   rigidformer pack nano.rfm --scope near --out nano-near.rfm
+  rigidformer pack nano.rfm --metrics movi-a.json movi-b.json --out nano.rfm
   rigidformer pack nano.rfm --header --out model.h
   rigidformer pack tossed.rfm --header --name tossed --out tossed.h
   rigidformer pack --random paper --dtype i8 --out paper.rfm")]
@@ -381,8 +382,12 @@ pub(crate) struct Pack {
     /// files, or taken over from one other packed model: by it a runtime tells units that are unlike them
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope"])]
     pub(crate) ranges: Vec<PathBuf>,
+    /// Keep the packed model IN as it is but for its figures: the headlines of these outputs of `rigidformer evaluate --json`, with the
+    /// network and without it; `rigidformer inspect --card` shows them
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope", "ranges"])]
+    pub(crate) metrics: Vec<PathBuf>,
     /// Write the packed model IN as a C header, for firmware in C or C++
-    #[arg(long, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope", "ranges", "json"])]
+    #[arg(long, conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope", "ranges", "metrics", "json"])]
     pub(crate) header: bool,
     /// With --header: what the array is called [default: rf_model]
     #[arg(long, value_name = "NAME", requires = "header", value_parser = identifier)]

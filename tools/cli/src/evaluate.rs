@@ -136,6 +136,7 @@ struct Without {
 struct Gain {
     step: u32,
     name: &'static str,
+    key: &'static str,
     with: f64,
     without: f64,
 }
@@ -148,7 +149,7 @@ impl Gain {
 
     fn json(&self) -> Value {
         json!({
-            "step": self.step, "figure": self.name, "with_network": self.with, "without_network": self.without,
+            "step": self.step, "figure": self.key, "with_network": self.with, "without_network": self.without,
             "gain_percent": self.percent(),
         })
     }
@@ -160,6 +161,7 @@ fn gains(with: &[Headline], without: &[Headline]) -> Vec<Gain> {
         .map(|(with, without)| Gain {
             step: with.step,
             name: with.name,
+            key: with.key,
             with: with.value,
             without: without.value,
         })

@@ -1,7 +1,9 @@
 //! `rigidformer inspect`
 
+mod card;
 mod health;
 
+pub(crate) use card::WITHOUT;
 use std::collections::{HashMap, HashSet};
 
 use rigidformer_core::{Plane, Role};
@@ -30,11 +32,21 @@ pub(crate) fn run(arguments: &Inspect) -> anyhow::Result<()> {
     if bytes.starts_with(&MAGIC) {
         let loaded = LoadedModel::copy_of(path, &bytes)?;
         let (model, length) = (loaded.model(), loaded.len());
+        if arguments.card {
+            return card::run(model.file(), length);
+        }
         return if arguments.json {
             model_json(model.file(), length)
         } else {
             model_text(model.file(), length)
         };
+    }
+    if arguments.card {
+        return Err(Usage(format!(
+            "--card: {} is no model; cards are of packed models",
+            path.display()
+        ))
+        .into());
     }
     // A safetensors file starts with the length of its JSON header.
     if bytes.get(8) != Some(&b'{') {
@@ -71,6 +83,15 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     }
     if config.scope.is_near() {
         fields.insert("scope".into(), json!("near"));
+    }
+    if !config.contact_law.is_rigid() {
+        fields.insert(
+            "contact_law".into(),
+            serde_json::from_str(&serde_json::to_string(&config.contact_law)?)?,
+        );
+    }
+    if config.most_units > 0 {
+        fields.insert("most_units".into(), config.most_units.into());
     }
     if config.motion.is_soft() {
         fields.insert("elastic".into(), serde_json::to_value(config.elastic)?);

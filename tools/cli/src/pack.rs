@@ -16,12 +16,13 @@ use serde_json::{Map, json};
 use toml::{Table, Value};
 
 use crate::arguments::{Pack, PresetName, ScopeName};
+use crate::inspect::WITHOUT;
 use crate::{interrupt, output};
 
 pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     interrupt::watch();
     // IN may be OUT: a model that is packed in its place.
-    let inputs = arguments.provenance.iter().chain(&arguments.ranges);
+    let inputs = arguments.provenance.iter().chain(&arguments.ranges).chain(&arguments.metrics);
     output::apart("--out", &arguments.out, inputs.map(PathBuf::as_path))?;
     let input = match (&arguments.input, arguments.random) {
         (_, Some(preset)) => return random(arguments, preset),
@@ -39,6 +40,9 @@ pub(crate) fn run(arguments: &Pack) -> anyhow::Result<()> {
     }
     if !arguments.ranges.is_empty() {
         return ranges(arguments, input);
+    }
+    if !arguments.metrics.is_empty() {
+        return metrics(arguments, input);
     }
     let policy = Policy {
         precision: arguments.dtype.into(),
@@ -76,6 +80,44 @@ fn read_packed(input: &Path, option: &str) -> anyhow::Result<Vec<u8>> {
         anyhow::bail!("{}: is no packed model; pack it first, without {option}", input.display());
     }
     Ok(packed)
+}
+
+/// The headlines of an evaluation, as models call them.
+fn headlines(path: &Path) -> anyhow::Result<Vec<(String, f32)>> {
+    let amiss = || {
+        anyhow::anyhow!(
+            "{}: is no output of `rigidformer evaluate --json` of a model; make one without --no-network",
+            path.display()
+        )
+    };
+    let document: serde_json::Value = serde_json::from_slice(&files::read_whole(path)?).map_err(|_| amiss())?;
+    let (dataset, split) = (document["dataset"].as_str(), document["split"].as_str());
+    let (Some(dataset), Some(split)) = (dataset, split) else { return Err(amiss()) };
+    let mut found = Vec::new();
+    for gain in document["gains"].as_array().ok_or_else(amiss)? {
+        let (step, figure) = (gain["step"].as_u64(), gain["figure"].as_str());
+        let (Some(step), Some(figure)) = (step, figure) else { return Err(amiss()) };
+        let name = format!("{dataset}.{split}.step{step}.{figure}");
+        for (key, end) in [("with_network", ""), ("without_network", WITHOUT)] {
+            let value = gain[key].as_f64().ok_or_else(amiss)?;
+            found.push((format!("{name}{end}"), value as f32));
+        }
+    }
+    Ok(found)
+}
+
+fn metrics(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
+    let mut all = Vec::new();
+    for path in &arguments.metrics {
+        all.extend(headlines(path)?);
+    }
+    let file = models::with_metrics(input, &read_packed(input, "--metrics")?, &all)?;
+    output::write_whole(&arguments.out, &file)?;
+    if arguments.json {
+        return output::json(&json!({ "bytes": file.len(), "metrics": all.len() }));
+    }
+    let (out, count) = (arguments.out.display(), all.len());
+    output::line(format_args!("{out}: {} bytes, {count} figures", file.len()))
 }
 
 fn scope(arguments: &Pack, input: &Path, name: ScopeName) -> anyhow::Result<()> {

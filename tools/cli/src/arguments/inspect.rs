@@ -17,6 +17,7 @@ model that says what training saw: `rigidformer pack --ranges`.
 
 Examples:
   rigidformer inspect edge.rfm
+  rigidformer inspect edge.rfm --card
   rigidformer inspect movi-a.safetensors --json
   rigidformer inspect movi-a.safetensors --health --split extra
   rigidformer inspect scenes.safetensors --health --split train --model edge.rfm --step 5 --json")]
@@ -26,6 +27,9 @@ pub(crate) struct Inspect {
     /// Count the units of a scene file that are unlike what the training of --model saw
     #[arg(long)]
     pub(crate) health: bool,
+    /// Print a model's card, in Markdown: data, training, figures with the network and without it, where it fails, licence
+    #[arg(long, conflicts_with_all = ["health", "json"])]
+    pub(crate) card: bool,
     #[command(flatten)]
     pub(crate) looks: Health,
     /// Print one JSON document instead of text

@@ -83,7 +83,12 @@ impl Metric for Fragments {
     fn headlines(&self) -> Vec<Headline> {
         let of_row = |row: &Row| {
             let value = row.figures.at_frames().into_iter().flatten().last()?.vertex_m;
-            Some(Headline { step: row.step, name: "points at the last frame, m", value })
+            Some(Headline {
+                step: row.step,
+                name: "points at the last frame, m",
+                key: "points_m",
+                value,
+            })
         };
         self.ours.iter().filter_map(of_row).collect()
     }

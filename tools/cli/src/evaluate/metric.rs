@@ -32,6 +32,8 @@ pub(super) struct Headline {
     pub(super) step: u32,
     /// With its unit.
     pub(super) name: &'static str,
+    /// As JSON and models call it.
+    pub(super) key: &'static str,
     pub(super) value: f64,
 }
 

@@ -50,10 +50,16 @@ impl Metric for Rigid {
         let of_step = |(step, figures): &(u32, Figures)| {
             let [.., last] = figures.errors;
             [
-                Headline { step: *step, name: "position at frame 100, m", value: last.position_m },
+                Headline {
+                    step: *step,
+                    name: "position at frame 100, m",
+                    key: "frame100.position_m",
+                    value: last.position_m,
+                },
                 Headline {
                     step: *step,
                     name: "orientation at frame 100, degrees",
+                    key: "frame100.orientation_deg",
                     value: last.orientation_rms_deg,
                 },
             ]

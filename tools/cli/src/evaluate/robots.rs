@@ -109,6 +109,7 @@ impl Metric for Robots {
             Some(Headline {
                 step: row.step,
                 name: "links at the last frame, m",
+                key: "links_m",
                 value: last.position_m,
             })
         };

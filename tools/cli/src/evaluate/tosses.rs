@@ -62,8 +62,18 @@ impl Metric for Tosses {
     fn headlines(&self) -> Vec<Headline> {
         let of_step = |(step, figures): &(u32, Figures)| {
             [
-                Headline { step: *step, name: "position, m", value: figures.position_m.0 },
-                Headline { step: *step, name: "rotation, degrees", value: figures.rotation_deg.0 },
+                Headline {
+                    step: *step,
+                    name: "position, m",
+                    key: "position_m",
+                    value: figures.position_m.0,
+                },
+                Headline {
+                    step: *step,
+                    name: "rotation, degrees",
+                    key: "rotation_deg",
+                    value: figures.rotation_deg.0,
+                },
             ]
         };
         self.by_step.iter().flat_map(of_step).collect()

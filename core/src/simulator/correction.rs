@@ -10,22 +10,27 @@ impl Simulator<'_, '_> {
     ///
     /// ```
     /// use nalgebra::{Isometry3, Point3};
-    /// use rigidformer_core::{Limits, Model, Physics, Simulator, Unit, Workspace};
-    /// use rigidformer_weights::{AlignedBuffer, ModelFile};
-    ///
+    /// use rigidformer_core::{Limits, Model, Physics, Simulator, SlabSizes, Slabs, Unit, UnitSlot};
     /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
-    /// let bytes = AlignedBuffer::copy_of(include_bytes!("../../../weights/models/nano.rfm"));
-    /// let model = Model::load(ModelFile::parse(&bytes)?)?;
-    /// let mut workspace = Workspace::new(model.config(), Limits { units: 1, points: 8 });
-    /// let mut simulator = workspace.simulator(&model)?;
-    /// let cube = [-0.1_f32, 0.1].map(|x| [-0.1, 0.1].map(|y| [-0.1, 0.1].map(|z| Point3::new(x, y, z))));
-    /// let cube: Vec<_> = cube.into_iter().flatten().flatten().collect();
+    /// # let model = Model::load(rigidformer_weights::EDGE)?;
+    /// # let limits = Limits { units: 1, points: 8 };
+    /// # let sizes = SlabSizes::new(model.config(), limits);
+    /// # let (mut numbers, mut bytes) = (vec![0.0; sizes.f32], vec![0; sizes.i8]);
+    /// # let mut points = vec![Point3::origin(); sizes.points];
+    /// # let mut units = vec![UnitSlot::EMPTY; sizes.units];
+    /// # let slabs = Slabs { f32: &mut numbers, i8: &mut bytes, points: &mut points, units: &mut units };
+    /// # let mut simulator = Simulator::new(&model, limits, slabs)?;
+    /// # simulator.set_dt(1.0 / 24.0)?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.2 } else { 0.2 };
+    /// # let cube: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let rubber = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.5 };
     /// let at = |z| Isometry3::translation(0.0, 0.0, z);
-    /// let rubber = Physics { mass_kg: 0.5, friction: 0.8, restitution: 0.7 };
-    /// let falls = simulator.add(&Unit::new(&cube, rubber), &at(0.14), &at(0.12))?;
+    /// let falls = simulator.add(&Unit::new(&cube, rubber), &at(0.3), &at(0.25))?;
+    /// let before = simulator.velocity(falls).ok_or("no such unit")?;
     /// simulator.set_network(false);
     /// simulator.step()?;
-    /// assert!(simulator.pose(falls).is_some_and(|pose| pose.translation.z > 0.0));
+    /// // It bounced, by impulses alone.
+    /// assert!(simulator.velocity(falls).is_some_and(|v| before.linear_m_s.z < 0.0 && v.linear_m_s.z > 0.0));
     /// # Ok(())
     /// # }
     /// ```

@@ -90,7 +90,8 @@ fn headlines(path: &Path) -> anyhow::Result<Vec<(String, f32)>> {
             path.display()
         )
     };
-    let document: serde_json::Value = serde_json::from_slice(&files::read_whole(path)?).map_err(|_| amiss())?;
+    let document: serde_json::Value =
+        serde_json::from_slice(&files::read_whole(path)?).map_err(|_| amiss())?;
     let (dataset, split) = (document["dataset"].as_str(), document["split"].as_str());
     let (Some(dataset), Some(split)) = (dataset, split) else { return Err(amiss()) };
     let mut found = Vec::new();

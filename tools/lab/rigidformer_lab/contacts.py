@@ -40,14 +40,15 @@ from pathlib import Path
 
 import numpy as np
 
-from . import bullet, far, pushing
+from . import bullet, far, mujoco_engine, pushing
 from .movi import FRAME_RATE_HZ, GRAVITY_M_S2, PRIMITIVE_SUB_STEPS, Shape, _offsets, _rotation, primitive_shapes
 from .pushing import Body, Part, Swing, _about_z, _create, _quaternion
 from .roles import DRIVEN, FIXED, FREE
-from .scenes import Scenes, split_of_seed
+from .scenes import EXTRA, Scenes, split_of_seed
 
 DATASET = "contacts"
 KINDS = ("table", "ramp", "wall", "steps", "stack", "slide", "roll", "pusher", "heap", "toss")
+ENGINES = {"bullet": "PyBullet 3.2.7", "mujoco": "MuJoCo 4.0.0"}
 BALL_POINTS = 160  # with so many the solver takes a sphere for a ball
 REFERENCE_M = 0.6  # the size at which scenes are simulated
 SIZES_M = (0.02, 1.0)  # that --size may be: radii of 1 cm to 2 m
@@ -324,8 +325,8 @@ MAKERS = {"table": _table, "ramp": _ramp, "wall": _wall, "steps": _steps, "stack
           "pusher": _pusher, "heap": _heap, "toss": _toss}
 
 
-def simulate(shapes: list[Shape], seed: int, frames: int, kinds=KINDS) -> tuple[str, Stage, np.ndarray]:
-    """Kind, contents and poses, (units, frames, 7), of a scene at the reference size, drawn from `seed` alone."""
+def simulate(shapes: list[Shape], seed: int, frames: int, kinds=KINDS, engine="bullet") -> tuple[str, Stage, np.ndarray]:
+    """Kind, contents and poses, (units, frames, 7), of a scene at the reference size, drawn from `seed` alone; engine: `ENGINES`."""
     rng = np.random.default_rng((seed, 78))
     kind = kinds[int(rng.integers(len(kinds)))]
     step = 1.0 / (FRAME_RATE_HZ * PRIMITIVE_SUB_STEPS)
@@ -334,6 +335,9 @@ def simulate(shapes: list[Shape], seed: int, frames: int, kinds=KINDS) -> tuple[
         MAKERS[kind](stage)
         if not any(body.role == FREE for body in stage.bodies):
             raise RuntimeError(f"seed {seed}: no free place for any body; leave the seed out")
+        if engine == "mujoco":
+            poses = mujoco_engine.record(shapes, stage, frames)
+            return kind, stage, _kept(stage, poses)
         poses = np.empty((len(stage.bodies), frames, 7))
         driven = [body for body in stage.bodies if body.role == DRIVEN]
         for frame in range(frames):
@@ -351,11 +355,16 @@ def simulate(shapes: list[Shape], seed: int, frames: int, kinds=KINDS) -> tuple[
                     pb.resetBasePositionAndOrientation(body.number, place, (x, y, z, w), **on)
                     pb.resetBaseVelocity(body.number, (after - place) / step, stage.path.spin(now), **on)
                 pb.stepSimulation(**on)
+    return kind, stage, _kept(stage, poses)
+
+
+def _kept(stage: Stage, poses: np.ndarray) -> np.ndarray:
+    """Poses with steady signs; what is fixed stays, to the bit."""
     bullet.steady_signs(poses)
-    for unit, body in enumerate(stage.bodies):  # to the bit
+    for unit, body in enumerate(stage.bodies):
         if body.role == FIXED:
             poses[unit] = poses[unit, 0]
-    return kind, stage, poses
+    return poses
 
 
 @dataclass(frozen=True)
@@ -367,8 +376,13 @@ class Recipe:
     frames: int
     size: float = 0.1
     kinds: tuple[str, ...] = KINDS
+    engine: str = "bullet"
 
-    name = dataset = DATASET
+    @property
+    def dataset(self) -> str:
+        return DATASET if self.engine == "bullet" else f"{DATASET}-{self.engine}"
+
+    name = dataset
 
     def shards(self) -> list[range]:
         return pushing.shards_of(self.first_seed, self.seeds)
@@ -376,17 +390,17 @@ class Recipe:
     def description(self) -> dict:
         """What has to agree before a run may continue from existing shards."""
         digest = hashlib.sha256()
-        for module in (__file__, bullet.__file__, pushing.__file__):
+        for module in (__file__, bullet.__file__, pushing.__file__, mujoco_engine.__file__):
             digest.update(Path(module).read_bytes())
         for shape in primitive_shapes(BALL_POINTS):
             digest.update(f"{shape.name} {shape.mass} {shape.size}".encode() + shape.points.tobytes())
-        return {"dataset": DATASET, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
+        return {"dataset": self.dataset, "first_seed": self.first_seed, "seeds": self.seeds, "frames": self.frames,
                 "size": self.size, "kinds": list(self.kinds), "code_and_shapes_sha256": digest.hexdigest()}
 
     def make(self, seeds: range) -> Scenes:
         """Simulates `seeds` one after the other."""
         shapes = primitive_shapes(BALL_POINTS)
-        made = [simulate(shapes, seed, self.frames, self.kinds)[1:] for seed in seeds]
+        made = [simulate(shapes, seed, self.frames, self.kinds, self.engine)[1:] for seed in seeds]
         times = self.size / REFERENCE_M
         every = [(body, body.parts[0]) for stage, _ in made for body in stage.bodies]
         poses = np.concatenate([poses for _, poses in made])
@@ -395,19 +409,20 @@ class Recipe:
         planes[:, 3] *= times
         inertia = np.array([body.inertia for body, _ in every]) * times**5
         return Scenes(
-            dataset=DATASET,
+            dataset=self.dataset,
             shape_names=[shape.name for shape in shapes],
             shape_points=np.concatenate([shape.points for shape in shapes]),
             shape_offsets=_offsets([len(shape.points) for shape in shapes]),
             scene_seed=np.array(seeds, np.int64),
-            scene_split=np.array([split_of_seed("primitives", seed) for seed in seeds], np.uint8),
+            # Of another engine all are extra: no set has splits of them.
+            scene_split=np.array([split_of_seed("primitives", seed) if self.engine == "bullet" else EXTRA for seed in seeds], np.uint8),
             scene_units=_offsets([len(stage.bodies) for stage, _ in made]),
             unit_shape=np.array([part.shape for _, part in every], np.int32),
             unit_scale=np.array([part.scale * times for _, part in every], np.float32),
             unit_physics=np.array([(part.mass * times**3, body.friction, body.restitution) for body, part in every],
                                   np.float32),
             unit_poses=poses.astype(np.float32),
-            provenance=f"Generated by rigidformer_lab.contacts with PyBullet 3.2.7, kinds {', '.join(self.kinds)}, size "
+            provenance=f"Generated by rigidformer_lab.contacts with {ENGINES[self.engine]}, kinds {', '.join(self.kinds)}, size "
                        f"{self.size:g} m; shapes of the lab's own, no assets used.",
             licence="the licence of the rigidformer project",
             frame_rate_hz=rate_of(self.size),
@@ -431,6 +446,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--size", type=float, default=0.1, metavar="M", help="typical radius of a body, metres, from "
                         f"{SIZES_M[0]} to {SIZES_M[1]} (default %(default)s)")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS), help="kinds to draw from (default: all)")
+    parser.add_argument("--engine", choices=ENGINES, default="bullet", help="what records (default bullet): mujoco has soft contact "
+                        "and an elliptic cone of friction")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     far.add_argument(parser)
     options = parser.parse_args(arguments)
@@ -438,7 +455,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not SIZES_M[0] <= options.size <= SIZES_M[1]:
         parser.error(f"--size {options.size}: give metres from {SIZES_M[0]} to {SIZES_M[1]}")
     kinds = tuple(kind for kind in KINDS if kind in options.kinds)
-    recipe = Recipe(options.first_seed, options.seeds, options.frames, options.size, kinds)
+    recipe = Recipe(options.first_seed, options.seeds, options.frames, options.size, kinds, options.engine)
     return bullet.run(recipe, options.out, options.workers, options.dask)
 
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rigidformer_lab import contacts, movi
+from rigidformer_lab import contacts, movi, mujoco_engine
 from rigidformer_lab.contacts import KINDS, Recipe
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.roles import DRIVEN, FIXED, FREE
-from rigidformer_lab.scenes import read_scenes, write_scenes
+from rigidformer_lab.scenes import EXTRA, read_scenes, write_scenes
 
 FRAMES = 90
 
@@ -94,3 +94,22 @@ def test_the_command(tmp_path, capsys):
     arguments = ["--out", str(out), "--seeds", "1", "--frames", "2", "--workers", "1", "--kinds", "roll", "slide"]
     assert contacts.main(arguments) == 0
     assert "1 scenes" in capsys.readouterr().out and read_scenes(out).dataset == contacts.DATASET
+
+
+def test_mujoco_records_the_same_scenes_by_another_law(tmp_path):
+    ours, theirs = (Recipe(3, 3, 60, 0.6, ("toss",), engine).make(range(3, 6)) for engine in ("bullet", "mujoco"))
+    assert ours.dataset == "contacts" and theirs.dataset == "contacts-mujoco" and "MuJoCo" in theirs.provenance
+    assert (theirs.scene_split == EXTRA).all()
+    write_scenes(tmp_path / "x", theirs)
+    assert (theirs.unit_physics == ours.unit_physics).all() and (theirs.unit_inertia == ours.unit_inertia).all()
+    apart = np.linalg.norm(ours.unit_poses[:, :, :3] - theirs.unit_poses[:, :, :3], axis=2)
+    assert apart[:, 0].max() < 1e-6 and 1e-4 < apart[:, -1].max() < 0.3
+    again = Recipe(3, 3, 60, 0.6, ("toss",), "mujoco").make(range(3, 6))
+    assert (again.unit_poses == theirs.unit_poses).all()
+
+
+def test_damping_gives_the_restitution():
+    for restitution in (0.1, 0.5, 0.9):
+        ratio = mujoco_engine.damping_ratio(restitution)
+        assert np.exp(-np.pi * ratio / np.sqrt(1 - ratio**2)) == pytest.approx(restitution)
+    assert mujoco_engine.damping_ratio(0.0) < 1

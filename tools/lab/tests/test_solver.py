@@ -263,3 +263,11 @@ def test_a_ball_hits_a_ball_and_a_box_along_the_line_of_centres():
     w = world([ball(0.1), box(0.2, 0.2, 0.2)], friction=0.0, planes=(), free=[True, False])
     motion = run(w, at([[0.02, 0.03, 0.4], [0, 0, 0]]), 2.0)
     np.testing.assert_allclose(motion.centre[0], [0.02, 0.03, 0.3], atol=1e-3)
+
+
+@pytest.mark.parametrize("restitution, offset, expected", [(0.3, 0.05, 0.35), (0.98, 0.05, 1.0), (1.2, 0.05, 1.2)])
+def test_a_contact_law_adds_to_the_restitution(restitution, offset, expected):
+    w = world([ball(0.1)], restitution=restitution, gravity=1e-3)._replace(law=np.array([offset, 0.0]))
+    motion = at([[0, 0, 0.11]], [[0, 0, -1.0]])
+    run(w, motion, 0.1)
+    assert motion.velocity[0, 2] == pytest.approx(expected, abs=2e-3)

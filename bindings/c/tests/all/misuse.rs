@@ -183,9 +183,9 @@ fn bad_models_are_named() {
     };
     refused(&AlignedBuffer::copy_of(b"This is not a model."), RF_ERROR_MODEL_MAGIC);
     refused(&[], RF_ERROR_MODEL_LENGTH);
-    let newer = refused(&changed(&|bytes| bytes[8] = 10), RF_ERROR_MODEL_VERSION);
+    let newer = refused(&changed(&|bytes| bytes[8] = 11), RF_ERROR_MODEL_VERSION);
     // 1 in the library itself; tests are built with what hosts read.
-    assert_eq!((newer.found, newer.expected), (10, rigidformer_weights::VERSION.into()));
+    assert_eq!((newer.found, newer.expected), (11, rigidformer_weights::VERSION.into()));
     let cut = refused(&sound[..sound.len() - 64], RF_ERROR_MODEL_LENGTH);
     assert_eq!((cut.found + 64, cut.expected), (sound.len() as u64, sound.len() as u64));
     refused(&changed(&|bytes| *bytes.last_mut().unwrap() ^= 1), RF_ERROR_MODEL_CHECKSUM);

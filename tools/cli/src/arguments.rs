@@ -14,6 +14,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::Dataset;
+use rigidformer_weights::{ContactLaw, FrictionLimit};
 
 pub(crate) use calibrate::{Calibrate, Contact};
 pub(crate) use import::Import;
@@ -179,6 +180,7 @@ their velocity and of a body that is carried on rigidly.
 Examples:
   rigidformer evaluate cube-tosses.safetensors --steps 2 --picture toss.png
   rigidformer evaluate cube-tosses.safetensors --steps 2 --contact contact.toml --without-network
+  rigidformer evaluate movi-a.safetensors --contact-law 0.03,pyramid
   rigidformer evaluate g1-test.safetensors --model g1.rfm --neighbours g1.safetensors
   rigidformer evaluate wrecking-216.safetensors --steps 8
   rigidformer evaluate movi-a.safetensors
@@ -199,6 +201,10 @@ pub(crate) struct Evaluate {
     pub(crate) without_network: bool,
     #[command(flatten)]
     pub(crate) contact: Contact,
+    /// How contacts that bounce differ from rigid ones in the record: what is added to restitutions, 0 to 1, and a pyramid of
+    /// friction in place of the cone. PyBullet's is 0.03,pyramid (docs/CONTACT.md); of models that move units by impulses, with the network and without it
+    #[arg(long, value_name = "OFFSET[,pyramid]", value_parser = contact_law)]
+    pub(crate) contact_law: Option<ContactLaw>,
     /// Step codes, with commas between [default: 1,5,10; of robots 10]
     #[arg(long, value_name = "S", value_delimiter = ',')]
     #[arg(value_parser = clap::value_parser!(u32).range(1..=100))]
@@ -320,6 +326,25 @@ pub(crate) enum PieceSource {
     Groups,
     /// V-HACD of the whole mesh
     Vhacd,
+}
+
+/// `0.03`, or `0.03,pyramid`.
+fn contact_law(text: &str) -> Result<ContactLaw, String> {
+    let (offset, friction) = match text.split_once(',') {
+        None => (text, FrictionLimit::Cone),
+        Some((offset, "pyramid")) => (offset, FrictionLimit::Pyramid),
+        Some((_, other)) => {
+            return Err(format!(
+                "`{other}` is no shape of friction; give `pyramid`, or leave it out for a cone"
+            ));
+        }
+    };
+    match offset.parse::<f32>() {
+        Ok(restitution_offset) if (0.0..=1.0).contains(&restitution_offset) => {
+            Ok(ContactLaw { restitution_offset, friction })
+        }
+        _ => Err(format!("`{offset}` is no number from 0 to 1")),
+    }
 }
 
 /// How convex pieces are written.

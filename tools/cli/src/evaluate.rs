@@ -11,6 +11,7 @@ mod tosses;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
+use rigidformer_evaluation::models;
 use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::{open_loop_on, rollout_on};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
@@ -109,7 +110,22 @@ fn model(arguments: &Evaluate) -> anyhow::Result<LoadedModel> {
         true => defaults::without_network(&loaded)?,
         false => loaded,
     };
-    Ok(loaded.for_host()?)
+    Ok(lawful(arguments, loaded)?.for_host()?)
+}
+
+/// The model with the contact law that is asked for.
+fn lawful(arguments: &Evaluate, loaded: LoadedModel) -> anyhow::Result<LoadedModel> {
+    let Some(law) = arguments.contact_law else { return Ok(loaded) };
+    let config = loaded.model().config();
+    if !config.motion.has_impulses() || config.bonds > 0 {
+        let name = loaded.model().file().name();
+        let problem = format!(
+            "--contact-law: {name} does not move units by impulses alone; give edge or nano, or leave it out"
+        );
+        return Err(Usage(problem).into());
+    }
+    let ruled = models::with_rules(loaded.path(), loaded.bytes(), law, config.most_units)?;
+    Ok(LoadedModel::copy_of(loaded.path(), &ruled)?)
 }
 
 fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<Made> {
@@ -198,7 +214,7 @@ fn run_metric<M: Metric>(
     // The same motion without the network stands beside every model.
     let alone = match arguments.without_network {
         true => None,
-        false => Some(defaults::uncorrected(&loaded)?),
+        false => Some(lawful(arguments, defaults::uncorrected(&loaded)?)?),
     };
     let without = alone.as_ref().map(|alone| Task { loaded: alone, ..task });
     let calls = M::calls(&task) + without.as_ref().map_or(0, M::calls);

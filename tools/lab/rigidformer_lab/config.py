@@ -182,10 +182,6 @@ class ModelConfig:
 #: Of models that move by impulses: the typical radius of MOVi's bodies, and steps up to 10 / 240 s among the smallest.
 SOLVED = dict(features="impact", motion="impulses", length_m=0.7, longest_step=16.0)
 
-#: Of what PyBullet records at 2400 steps a second: it pushes overlaps apart by velocity (.08 of the depth a step), and limits friction
-#: along the sliding and across it apart. The number is that of the least error on validation scenes (docs/CONTACT.md).
-BULLET = ContactLaw(restitution_offset=0.03, pyramid=True)
-
 #: Of models that move a robot. Nothing pulls its parts down: what carries it is the network's.
 ROBOT = dict(
     width=96, head_dim=24, point_width=48, feed_forward_width=240, avp_width=32, scales=(0, 2, 4), motion="robot", gate=False,
@@ -200,7 +196,7 @@ SOFT = dict(
 )  # fmt: skip
 
 PRESETS = {
-    "edge": ModelConfig(law=BULLET, most_units=32, **SOLVED),
+    "edge": ModelConfig(most_units=32, **SOLVED),
     "edge-points": ModelConfig(name="edge-points"),  # without impacts
     "edge-paper-inputs": ModelConfig(
         name="edge-paper-inputs",
@@ -240,7 +236,6 @@ PRESETS = {
         avp_width=32,
         film_width=16,
         scales=(0, 1, 3),
-        law=BULLET,
         most_units=32,
         **SOLVED,
     ),

@@ -175,8 +175,9 @@ impl<'a> Cursor<'a> {
             false => Ok(crate::Scope::All),
             #[cfg(feature = "host")]
             true => Ok(crate::Scope::Near),
+            // As version 8, which says so by its number.
             #[cfg(not(feature = "host"))]
-            true => Err(self.error("scope")),
+            true => Err(FormatError::Version { found: RULED, supported: RULED - 1 }),
         }
     }
 

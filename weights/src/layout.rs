@@ -10,7 +10,7 @@ use crate::{FormatError, Section};
 pub const MAGIC: [u8; 8] = *b"RFMODEL\0";
 
 /// The newest format version that this crate reads. Without the feature `host` it does not read versions 2 and 8, without
-/// `deform` not 6 and 7, without `health` not 9. A file is of the oldest version that can hold it.
+/// `deform` not 6 and 7, without `health` not 9, and without `host` none of version 10 whose network reads near units alone. A file is of the oldest version that can hold it.
 pub const VERSION: u32 = 10;
 
 /// The version whose files name the one that their model is of without its ranges.

@@ -349,7 +349,8 @@ fn resolve<V: Vector, const SETTLE: bool, const BOUNCE: bool>(
         let share = V::choose(size.above(most), most.over(size), V::splat(1.0));
         let is_pyramid = zero.above(limit);
         let within = |impulse: V| {
-            let least = zero.minus(most);
+            // As one by one, zeros and all: a pyramid's coefficient is below 0.
+            let least = limit.times(after);
             let own = V::choose(least.above(impulse), least, impulse);
             let own = V::choose(impulse.above(most), most, own);
             V::choose(is_pyramid, own, impulse.times(share))

@@ -99,7 +99,7 @@ pub fn with_metrics(
     packed: &[u8],
     metrics: &[(String, f32)],
 ) -> Result<Vec<u8>, PackError> {
-    written(name, packed, (&[], metrics), |config| config, kept)
+    written(name, packed, Additions { entries: &[], metrics }, |config| config, kept)
 }
 
 /// The same model with more provenance, another configuration and other ranges.
@@ -110,14 +110,20 @@ fn rewritten(
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
-    written(name, packed, (entries, &[]), change, ranges)
+    written(name, packed, Additions { entries, metrics: &[] }, change, ranges)
+}
+
+/// What a model is to say besides.
+struct Additions<'a> {
+    entries: &'a [(String, String)],
+    metrics: &'a [(String, f32)],
 }
 
 /// As [`rewritten`], with more figures too.
 fn written(
     name: &Path,
     packed: &[u8],
-    (entries, metrics): (&[(String, String)], &[(String, f32)]),
+    Additions { entries, metrics }: Additions<'_>,
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {

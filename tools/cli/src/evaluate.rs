@@ -116,6 +116,7 @@ fn model(arguments: &Evaluate) -> anyhow::Result<LoadedModel> {
 /// The model with the contact law that is asked for.
 fn lawful(arguments: &Evaluate, loaded: LoadedModel) -> anyhow::Result<LoadedModel> {
     let Some(law) = arguments.contact_law else { return Ok(loaded) };
+    // The law is asked for, whatever scenes the model leaves alone.
     let config = loaded.model().config();
     if !config.motion.has_impulses() || config.bonds > 0 {
         let name = loaded.model().file().name();
@@ -124,7 +125,7 @@ fn lawful(arguments: &Evaluate, loaded: LoadedModel) -> anyhow::Result<LoadedMod
         );
         return Err(Usage(problem).into());
     }
-    let ruled = models::with_rules(loaded.path(), loaded.bytes(), law, config.most_units)?;
+    let ruled = models::with_rules(loaded.path(), loaded.bytes(), law, 0)?;
     Ok(LoadedModel::copy_of(loaded.path(), &ruled)?)
 }
 
@@ -211,8 +212,9 @@ fn run_metric<M: Metric>(
     let steps = arguments.steps_or(M::STEPS);
     let task = Task { arguments, dataset, split, scenes: &scenes, loaded: &loaded, steps };
     M::check(&task)?;
-    // The same motion without the network stands beside every model.
-    let alone = match arguments.without_network {
+    // The same motion without the network stands beside every model, but one that says which bonds break: without it the record
+    // would have to.
+    let alone = match arguments.without_network || loaded.model().config().bonds > 0 {
         true => None,
         false => Some(lawful(arguments, defaults::uncorrected(&loaded)?)?),
     };
@@ -237,6 +239,13 @@ fn run_metric<M: Metric>(
         {
             fields.insert("without_network".into(), without.document["model"].clone());
             fields.insert("gains".into(), gains.iter().map(Gain::json).collect());
+            // What figures are of another motion by: a model keeps none of those.
+            let mut changes = Vec::new();
+            changes.extend(arguments.contact_law.map(|_| "--contact-law"));
+            changes.extend(arguments.contact.path.as_ref().map(|_| "--contact"));
+            changes.extend(arguments.join.then_some("--join"));
+            changes.extend(arguments.limit.map(|_| "--limit"));
+            fields.insert("changed_by".into(), json!(changes));
         }
         output::json(&document)?;
     } else {

@@ -11,7 +11,7 @@ use rigidformer_runtime::core::weights::{AlignedBuffer, MAGIC, Quantity, Ranges,
 use rigidformer_runtime::files;
 use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::models::{LoadedModel, to_panels};
-use serde_json::{Map, json};
+use serde_json::{Map, Value as Json, json};
 #[cfg(feature = "provenance")]
 use toml::{Table, Value};
 
@@ -83,15 +83,24 @@ fn read_packed(input: &Path, option: &str) -> anyhow::Result<Vec<u8>> {
 }
 
 /// The headlines of an evaluation, as models call them.
-fn headlines(path: &Path) -> anyhow::Result<Vec<(String, f32)>> {
+fn headlines(path: &Path, name: &str) -> anyhow::Result<Vec<(String, f32)>> {
     let amiss = || {
         anyhow::anyhow!(
             "{}: is no output of `rigidformer evaluate --json` of a model; make one without --no-network",
             path.display()
         )
     };
-    let document: serde_json::Value =
-        serde_json::from_slice(&files::read_whole(path)?).map_err(|_| amiss())?;
+    let document: Json = serde_json::from_slice(&files::read_whole(path)?).map_err(|_| amiss())?;
+    let measured = document["model"]["name"].as_str().ok_or_else(amiss)?;
+    if measured != name {
+        let path = path.display();
+        anyhow::bail!(
+            "{path}: has the figures of {measured}, and the model is {name}; evaluate that one"
+        );
+    }
+    if let Some([Json::String(option), ..]) = document["changed_by"].as_array().map(Vec::as_slice) {
+        anyhow::bail!("{}: was made with {option}; evaluate the model without it", path.display());
+    }
     let (dataset, split) = (document["dataset"].as_str(), document["split"].as_str());
     let (Some(dataset), Some(split)) = (dataset, split) else { return Err(amiss()) };
     let mut found = Vec::new();
@@ -108,11 +117,13 @@ fn headlines(path: &Path) -> anyhow::Result<Vec<(String, f32)>> {
 }
 
 fn metrics(arguments: &Pack, input: &Path) -> anyhow::Result<()> {
+    let packed = read_packed(input, "--metrics")?;
+    let loaded = LoadedModel::copy_of(input, &packed)?;
     let mut all = Vec::new();
     for path in &arguments.metrics {
-        all.extend(headlines(path)?);
+        all.extend(headlines(path, loaded.model().file().name())?);
     }
-    let file = models::with_metrics(input, &read_packed(input, "--metrics")?, &all)?;
+    let file = models::with_metrics(input, &packed, &all)?;
     output::write_whole(&arguments.out, &file)?;
     if arguments.json {
         return output::json(&json!({ "bytes": file.len(), "metrics": all.len() }));

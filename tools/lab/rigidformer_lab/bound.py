@@ -54,6 +54,8 @@ class Record:
         none = np.zeros_like(bend[:1])
         before, after = np.concatenate((none, bend[:-1])), np.concatenate((bend[1:], none))
         self.hit[1:] = bend & (after | ~before)
+        # One bend alone at the second frame is of an impact in the first interval, which has no bend before it.
+        self.hit[0], self.hit[1] = self.hit[1] & ~after[0], self.hit[1] & after[0]
         # Of a frame: by the interval behind it where that has no impact, otherwise by the one before.
         velocity = np.concatenate((way - 0.5 * fall, way[-1:] + 0.5 * fall))
         spins = np.concatenate((spin, spin[-1:]))

@@ -120,8 +120,8 @@ class ModelConfig:
             object.__setattr__(self, "elastic", Elastic(**self.elastic))
         if isinstance(self.law, dict):
             object.__setattr__(self, "law", ContactLaw(**self.law))
-        if (self.law or self.most_units) and self.motion != "impulses":
-            raise ValueError('law and most_units go with motion "impulses" alone')
+        if (self.law or self.most_units) and (self.motion != "impulses" or self.bonds):
+            raise ValueError('law and most_units go with motion "impulses", without bonds')
         if not (self.motion == "soft") == (self.features == "soft") == (self.elastic is not None):
             raise ValueError('motion "soft", features "soft" and `elastic` go together; give all three or none')
         if self.motion == "soft" and (self.length_m or self.longest_step or self.gate):
@@ -196,7 +196,7 @@ SOFT = dict(
 )  # fmt: skip
 
 PRESETS = {
-    "edge": ModelConfig(most_units=32, **SOLVED),
+    "edge": ModelConfig(most_units=24, **SOLVED),
     "edge-points": ModelConfig(name="edge-points"),  # without impacts
     "edge-paper-inputs": ModelConfig(
         name="edge-paper-inputs",
@@ -236,7 +236,7 @@ PRESETS = {
         avp_width=32,
         film_width=16,
         scales=(0, 1, 3),
-        most_units=32,
+        most_units=24,
         **SOLVED,
     ),
     # Robots under command: parts of one body, seen from its heading. At most 70 million instructions a step at 31 parts x

@@ -455,6 +455,10 @@ def main(arguments: list[str] | None = None) -> int:
     if not SIZES_M[0] <= options.size <= SIZES_M[1]:
         parser.error(f"--size {options.size}: give metres from {SIZES_M[0]} to {SIZES_M[1]}")
     kinds = tuple(kind for kind in KINDS if kind in options.kinds)
+    if options.engine == "mujoco":  # what it drives has no velocity to contacts
+        if options.kinds == ["pusher"]:
+            parser.error("--engine mujoco: has no pusher; give other --kinds")
+        kinds = tuple(kind for kind in kinds if kind != "pusher")
     recipe = Recipe(options.first_seed, options.seeds, options.frames, options.size, kinds, options.engine)
     return bullet.run(recipe, options.out, options.workers, options.dask)
 

@@ -741,7 +741,7 @@ class RigidFormer(nn.Module):
             return None
         scene, state = self.entered(scene, state)
         rotation, centre, before_rotation, before_centre, touched, share, met = solve(
-            scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene), self.law(scene)
+            scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene), self.config.law, self.corrects(scene)
         )
         turn, shift = state.rotation @ state.rotation.detach().transpose(-1, -2), state.centre - state.centre.detach()
         turn = turn - turn.detach()  # zeros, and a gradient
@@ -753,13 +753,10 @@ class RigidFormer(nn.Module):
             share, met,
         )  # fmt: skip
 
-    def corrects(self, scene: Scene) -> bool:
-        """Whether the scenes have as few units as the model corrects."""
-        return not self.config.most_units or scene.mask.shape[1] <= self.config.most_units
-
-    def law(self, scene: Scene):
-        """That of the impulses; None: rigid contact."""
-        return self.config.law if self.corrects(scene) else None
+    def corrects(self, scene: Scene):
+        """Whether each scene has as few units as the model corrects (B,)."""
+        units = scene.mask.sum(1)
+        return units <= self.config.most_units if self.config.most_units else units >= 0
 
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M); only free ones are (section 6)."""
@@ -895,7 +892,7 @@ class RigidFormer(nn.Module):
         free = scene.mask & self.motion(scene, state).free
         earlier = None
         if self.config.motion == "impulses":
-            active = free & (prior.share > 0) & self.corrects(scene)
+            active = free & (prior.share > 0) & self.corrects(scene)[:, None]
             out = out * prior.share.clamp(min=0.0)[..., None, None] * dt
             advanced = transform(prior.rotation, prior.centre, local) + out[..., :3]
             earlier = transform(prior.before_rotation, prior.before_centre, local) + (out[..., :3] - out[..., 3:])

@@ -7,19 +7,33 @@ import math
 import numpy as np
 
 from .movi import FRAME_RATE_HZ, GRAVITY_M_S2, PRIMITIVE_SUB_STEPS
-from .roles import DRIVEN, FREE
+from .roles import FREE
 
 #: Time constant of a contact, seconds: MuJoCo takes no less than two time steps, and has .02 by default.
 TIME_CONSTANT_S = 0.005
-#: Least restitution of a pair: the damping ratio of 0 is infinite.
+#: Least restitution of a pair: the damping ratio of 0 is infinite. What MuJoCo's own softness changes is not counted.
 LEAST_RESTITUTION = 0.02
 MARGIN_M = 1e-3
 
 
+def restitution_of(ratio: float) -> float:
+    """What a spring and a damper of a damping ratio leave of the speed; they push alone, so contact ends where they would pull."""
+    if ratio < 1:
+        root = math.sqrt(1 - ratio**2)
+        return math.exp(-ratio / root * (math.pi - math.atan2(2 * ratio * root, 1 - 2 * ratio**2)))
+    if ratio == 1:
+        return math.exp(-2)
+    root = math.sqrt(ratio**2 - 1)
+    return math.exp(-ratio / root * math.log((ratio + root) / (ratio - root)))
+
+
 def damping_ratio(restitution: float) -> float:
-    """That of a spring and a damper, at most 1, which leave so much of the speed."""
-    log = math.log(min(max(restitution, LEAST_RESTITUTION), 0.999))
-    return -log / math.hypot(math.pi, log)
+    """That which leaves so much of the speed."""
+    low, high = 1e-4, 10.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        low, high = (middle, high) if restitution_of(middle) > max(restitution, LEAST_RESTITUTION) else (low, middle)
+    return high
 
 
 def _geom(name, shape, scale):
@@ -42,8 +56,7 @@ def scene_xml(shapes, bodies, planes) -> str:
         inner = _geom(f"g{k}", shapes[part.shape], part.scale)
         if body.role == FREE:
             inner = f'<freejoint/><inertial pos="0 0 0" mass="{part.mass:.9g}" diaginertia="{text(body.inertia)}"/>' + inner
-        mocap = ' mocap="true"' if body.role == DRIVEN else ""
-        plain.append(f'<body name="b{k}" pos="{text(body.place)}" quat="{text(body.turn)}"{mocap}>{inner}</body>')
+        plain.append(f'<body name="b{k}" pos="{text(body.place)}" quat="{text(body.turn)}">{inner}</body>')
 
     def pair(a, b, friction, restitution):
         solref = f"{TIME_CONSTANT_S} {damping_ratio(restitution):.6g}"
@@ -66,7 +79,7 @@ def scene_xml(shapes, bodies, planes) -> str:
 
 
 def record(shapes, stage, frames: int) -> np.ndarray:
-    """Poses (units, frames, 7) of a stage that has not begun to move."""
+    """Poses (units, frames, 7) of a stage that has not begun to move, without driven bodies."""
     import mujoco
 
     bodies = stage.bodies
@@ -86,14 +99,6 @@ def record(shapes, stage, frames: int) -> np.ndarray:
         for k, body in enumerate(bodies):
             here = data.body(f"b{k}")
             poses[k, frame] = (*here.xpos, *here.xquat)
-            if body.role == DRIVEN:  # exactly on its path
-                place, turn = stage.path.at(frame / FRAME_RATE_HZ)
-                poses[k, frame] = (*place, *turn)
-        for sub in range(PRIMITIVE_SUB_STEPS if frame + 1 < frames else 0):
-            for k, body in enumerate(bodies):
-                if body.role == DRIVEN:
-                    place, turn = stage.path.at((frame + sub / PRIMITIVE_SUB_STEPS) / FRAME_RATE_HZ)
-                    mocap = model.body_mocapid[model.body(f"b{k}").id]
-                    data.mocap_pos[mocap], data.mocap_quat[mocap] = place, turn
+        for _ in range(PRIMITIVE_SUB_STEPS if frame + 1 < frames else 0):
             mujoco.mj_step(model, data)
     return poses

@@ -36,6 +36,12 @@ def test_impacts_are_in_their_interval_and_velocities_beside_them_right():
     assert record.velocity[6, 1, :3] == pytest.approx((0.0, 1.0, -10 * 6 / RATE), abs=1e-3)
 
 
+def test_an_impact_between_the_observed_frames_is_in_the_first_interval():
+    record, _, after, at = recorded(bounce=0.4)
+    assert np.flatnonzero(record.hit[:, 0]).tolist() == [0]
+    assert record.velocity[1, 0, :3] == pytest.approx(after + GRAVITY * (1 / RATE - at), abs=1e-3)
+
+
 def test_what_is_corrected():
     record, *_ = recorded()
     fresh, seen = np.zeros(2, bool), np.array([True, False])

@@ -109,7 +109,13 @@ def test_mujoco_records_the_same_scenes_by_another_law(tmp_path):
 
 
 def test_damping_gives_the_restitution():
-    for restitution in (0.1, 0.5, 0.9):
+    for restitution in (0.05, 0.1, 0.5, 0.9):
         ratio = mujoco_engine.damping_ratio(restitution)
-        assert np.exp(-np.pi * ratio / np.sqrt(1 - ratio**2)) == pytest.approx(restitution)
-    assert mujoco_engine.damping_ratio(0.0) < 1
+        place, speed, step = 0.0, -1.0, 1e-4
+        while place <= 0:  # a spring of frequency 1 that does not pull
+            push = max(-place - 2 * ratio * speed, 0.0)
+            if push == 0 and speed > 0:
+                break
+            speed += push * step
+            place += speed * step
+        assert speed == pytest.approx(restitution, abs=2e-3)

@@ -53,13 +53,13 @@ impl Metric for Rigid {
                 Headline {
                     step: *step,
                     name: "position at frame 100, m",
-                    key: "frame100.position_m",
+                    key: "frame100.position_rmse_m",
                     value: last.position_m,
                 },
                 Headline {
                     step: *step,
                     name: "orientation at frame 100, degrees",
-                    key: "frame100.orientation_deg",
+                    key: "frame100.orientation_rmse_deg",
                     value: last.orientation_rms_deg,
                 },
             ]

@@ -63,7 +63,7 @@ pub(super) fn run(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
             "The file has none: `rigidformer pack --metrics` adds those of `rigidformer evaluate --json`.",
         )?;
     } else {
-        line("Errors with the network, and of the same motion without it.\n")?;
+        line("With the network, and of the same motion without it.\n")?;
         line("|figure|with|without|gain|\n|---|---|---|---|")?;
     }
     for figure in &figures {
@@ -88,7 +88,9 @@ pub(super) fn run(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
             -gain
         ))?;
     }
-    if worse.is_empty() {
+    if !figures.iter().any(|figure| figure.without.is_some()) {
+        line("- It is not compared with the same motion without its network.")?;
+    } else if worse.is_empty() {
         line("- No figure above is worse than without the network.")?;
     }
     if config.most_units > 0 {

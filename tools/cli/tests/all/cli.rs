@@ -328,6 +328,64 @@ fn evaluate_rolls_tosses_out_in_open_loop() {
     assert!(!table.contains("Drake") && !table.contains("% of an edge"), "{table}");
 }
 
+/// The same motion without the network stands beside a model, and the model's file and card can keep both.
+#[test]
+fn what_a_network_is_worth_is_shown_and_kept() {
+    let folder = Folder::new();
+    let (scene, figures, packed) =
+        (toss(&folder, "my tosses"), folder.path("figures.json"), folder.path("nano.rfm"));
+    let evaluated = |more: &[&str]| {
+        let usual = ["evaluate", &scene, "--model", NANO, "--steps", "5"];
+        works(&[&usual, more].concat())
+    };
+    let document = evaluated(&["--json"]);
+    let json: serde_json::Value = serde_json::from_str(&document).unwrap();
+    let gains = json["gains"].as_array().unwrap();
+    assert_eq!(gains.len(), 2);
+    assert_eq!((&gains[0]["step"], &gains[0]["figure"]), (&5.into(), &"position_m".into()));
+    let alone: serde_json::Value =
+        serde_json::from_str(&evaluated(&["--json", "--no-network"])).unwrap();
+    assert_eq!(json["without_network"], alone["model"]);
+    assert!(alone["gains"].is_null());
+    assert_eq!(gains[0]["with_network"], json["model"]["steps"][0]["position_m"]);
+    assert_eq!(gains[0]["without_network"], alone["model"]["steps"][0]["position_m"]);
+    assert!(evaluated(&[]).contains("what the network is worth"));
+
+    std::fs::write(&figures, &document).unwrap();
+    works(&["pack", NANO, "--metrics", &figures, "--out", &packed]);
+    let card = works(&["inspect", &packed, "--card"]);
+    for part in [
+        "# Model card: nano",
+        "my tosses.test.step5.position_m|",
+        "## Where it fails",
+        "Apache-2.0",
+    ] {
+        assert!(card.contains(part), "{part}: {card}");
+    }
+    assert!(works(&["inspect", NANO, "--card"]).contains("not compared with the same motion"));
+
+    let refused = |arguments: &[&str], what: &str| {
+        let out = run(arguments);
+        assert!(!out.status.success() && text(&out.stderr).contains(what), "{}", text(&out.stderr));
+    };
+    refused(&["pack", SHELL, "--metrics", &figures, "--out", &packed], "has the figures of nano");
+    for law in ["2", "NaN", "0.1,cone", ""] {
+        refused(&["evaluate", &scene, "--model", NANO, "--contact-law", law], "--contact-law");
+    }
+    refused(&["evaluate", &scene, "--model", SHELL, "--contact-law", "0.1"], "give edge or nano");
+    let lawful = evaluated(&["--json", "--contact-law", "0.3,pyramid"]);
+    let other: serde_json::Value = serde_json::from_str(&lawful).unwrap();
+    assert_eq!(other["changed_by"], serde_json::json!(["--contact-law"]));
+    std::fs::write(&figures, lawful).unwrap();
+    refused(&["pack", NANO, "--metrics", &figures, "--out", &packed], "--contact-law");
+    std::fs::write(&figures, "{}").unwrap();
+    refused(
+        &["pack", NANO, "--metrics", &figures, "--out", &packed],
+        "rigidformer evaluate --json",
+    );
+    refused(&["inspect", &scene, "--card"], "--card");
+}
+
 #[test]
 fn inspect_tells_models_from_scenes() {
     let folder = Folder::new();

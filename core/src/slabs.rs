@@ -93,7 +93,7 @@ impl SlabSizes {
 /// #     ground_friction: 0.3, ground_restitution: 0.5, hidden: rigidformer_core::weights::Hidden::DEFAULT,
 /// #     similarity: rigidformer_core::weights::Similarity::OFF,
 /// #     directions: rigidformer_core::weights::Directions::NONE,
-/// #     elastic: rigidformer_core::weights::Elastic::NONE, bonds: 0, scope: rigidformer_core::weights::Scope::All,
+/// #     elastic: rigidformer_core::weights::Elastic::NONE, bonds: 0, scope: rigidformer_core::weights::Scope::All, contact_law: rigidformer_core::weights::ContactLaw::RIGID, most_units: 0,
 /// # };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// let mut memory: Memory<{ SIZES.f32 }, { SIZES.i8 }, { SIZES.points }, { SIZES.units }> = Memory::new();

@@ -276,7 +276,7 @@ impl World {
     ///
     /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
     /// # let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../weights/models/nano.rfm");
-    /// let model = LoadedModel::open(path)?;
+    /// let model = LoadedModel::open(path.as_ref())?;
     /// let mut world = World::new(&model, Limits { units: 4, points: 256 })?;
     /// world.set_network(false);
     /// assert!(!world.simulator().has_network());

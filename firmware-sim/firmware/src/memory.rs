@@ -41,7 +41,7 @@ pub const CONFIG: ModelConfig = ModelConfig {
     bonds: 0,
     scope: Scope::All,
     contact_law: ContactLaw::RIGID,
-    most_units: 0,
+    most_units: 24,
 };
 /// The configuration of the model in flash; images check that it is that.
 #[cfg(all(feature = "walk", not(feature = "drape")))]

@@ -420,6 +420,9 @@ pub enum EditError {
         /// Which plane.
         plane: usize,
     },
+    /// A contact law's number is out of range, or none.
+    #[error("contact law: restitution_offset must be from 0 to 1")]
+    BadContactLaw,
     /// Gravity is not finite or too large.
     #[error("gravity must be finite and at most 1e4 m/s^2 along each axis")]
     BadGravity,

@@ -61,6 +61,7 @@ mod trace;
 mod workspace;
 
 pub use contact::ground::Plane;
+pub use contact::law::{ContactLaw, FrictionLimit, NoContactLaw};
 pub use contact::pieces::Pieces;
 #[cfg(feature = "deform")]
 pub use error::BondError;

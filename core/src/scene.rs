@@ -1,6 +1,7 @@
 //! Units, their roles and bodies, planes, gravity and time: the state that a rollout carries.
 
 use crate::contact::ground::Plane;
+use crate::contact::law::ContactLaw;
 use crate::contact::pieces::{self, Piece, Pieces};
 use crate::geometry::{Course, Pose, State, norm, rotate, turn_between};
 use crate::limits::{ANCHORS, MAX_PLANES};
@@ -8,7 +9,6 @@ use crate::math;
 use crate::measure::Measure;
 use crate::stand_in::{OfCompliance, OfHealth};
 use nalgebra::{Matrix3, Point3, Vector3};
-use rigidformer_weights::ContactLaw;
 
 /// What a unit is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]

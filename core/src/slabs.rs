@@ -23,7 +23,7 @@ pub struct Slabs<'s> {
 /// Lengths of the slabs that a caller hands in.
 ///
 /// ```
-/// use rigidformer_core::{Limits, SlabSizes, weights::{ContactLaw, Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Similarity}};
+/// use rigidformer_core::{Limits, SlabSizes, weights::{Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Similarity}};
 /// const CONFIG: ModelConfig = ModelConfig {
 ///     width: 64, heads: 2, head_dim: 32, blocks: 4, point_width: 64, registers: 4,
 ///     feed_forward_width: 160, avp_width: 32, film_width: 16, command_size: 0,
@@ -31,7 +31,7 @@ pub struct Slabs<'s> {
 ///     motion: Motion::Free, gate: true, output_scale: 1.0, frame_rate_hz: 240.0,
 ///     gravity_m_s2: [0.0, 0.0, -10.0], ground_friction: 0.3, ground_restitution: 0.5,
 ///     hidden: Hidden::DEFAULT, similarity: Similarity::OFF, directions: Directions::NONE, elastic: Elastic::NONE, bonds: 0,
-///     scope: Scope::All, contact_law: ContactLaw::RIGID, most_units: 0,
+///     scope: Scope::All, most_units: 0,
 /// };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// const _: () = assert!(SIZES.bytes() < 256 * 1024, "the workspace outgrew its RAM budget");
@@ -93,7 +93,7 @@ impl SlabSizes {
 /// #     ground_friction: 0.3, ground_restitution: 0.5, hidden: rigidformer_core::weights::Hidden::DEFAULT,
 /// #     similarity: rigidformer_core::weights::Similarity::OFF,
 /// #     directions: rigidformer_core::weights::Directions::NONE,
-/// #     elastic: rigidformer_core::weights::Elastic::NONE, bonds: 0, scope: rigidformer_core::weights::Scope::All, contact_law: rigidformer_core::weights::ContactLaw::RIGID, most_units: 0,
+/// #     elastic: rigidformer_core::weights::Elastic::NONE, bonds: 0, scope: rigidformer_core::weights::Scope::All, most_units: 0,
 /// # };
 /// const SIZES: SlabSizes = SlabSizes::new(&CONFIG, Limits { units: 10, points: 640 });
 /// let mut memory: Memory<{ SIZES.f32 }, { SIZES.i8 }, { SIZES.points }, { SIZES.units }> = Memory::new();

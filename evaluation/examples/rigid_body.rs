@@ -95,5 +95,6 @@ fn merge(scene: &RecordedScene) -> Result<Merged, Box<dyn Error>> {
     let rigid = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, vec![merged])?;
     let planes = scene.planes().map(<[_]>::to_vec).unwrap_or_default();
     let compliance = scene.plane_compliance().to_vec();
+    let rigid = rigid.with_contact_law(scene.contact_law())?;
     Ok((rigid.with_planes(planes)?.with_plane_compliance(compliance)?, own))
 }

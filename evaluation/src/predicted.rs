@@ -162,6 +162,7 @@ impl Predicted {
         let (name, gravity) = (scene.name(), scene.gravity_m_s2());
         let made = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, units)?;
         let made = made.with_mesh(scene.mesh().clone())?.with_bonds(self.bonds(scene))?;
+        let made = made.with_contact_law(scene.contact_law())?;
         match scene.planes() {
             Some(planes) => made
                 .with_planes(planes.to_vec())?

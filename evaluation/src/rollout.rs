@@ -476,6 +476,7 @@ impl<'s> Replay<'s> {
         replay.edit(|world| {
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
+                simulator.set_contact_law(scene.contact_law())?;
                 // Unknown planes leave the model's ground in place.
                 let Some(planes) = scene.planes() else { return Ok(()) };
                 simulator.set_planes(planes)?;

@@ -12,7 +12,7 @@ use nalgebra::Isometry3;
 use rigidformer_evaluation::models::{Precision, quantise, random, with_rules, with_scope};
 use rigidformer_runtime::core::quant::{Scratch, scratch_bytes};
 use rigidformer_runtime::core::weights::Panels;
-use rigidformer_runtime::core::weights::{ContactLaw, Scope};
+use rigidformer_runtime::core::weights::Scope;
 use rigidformer_runtime::core::{Layer, Model, Schedule, Stage, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
@@ -558,7 +558,7 @@ fn measure_here(
 
 /// The committed edge model as int8 in panels; it corrects scenes of any size.
 fn edge() -> LoadedModel {
-    let any = with_rules("edge".as_ref(), rigidformer_weights::EDGE, ContactLaw::RIGID, 0).unwrap();
+    let any = with_rules("edge".as_ref(), rigidformer_weights::EDGE, 0).unwrap();
     let packed = quantise("edge".as_ref(), &any, &Precision::I8.into()).unwrap();
     loaded(&packed.file)
 }

@@ -41,6 +41,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let engine = Engine { threads: Threads::new(threads.parse()?), ..Engine::new()? };
     let mut world = World::on(engine, &model, Limits { units: 64, points: 8192 }, 1)?;
     world.set_gravity(scene.gravity_m_s2())?;
+    world.set_contact_law(scene.contact_law())?;
     for _ in 0..turns.parse()? {
         let dt_s = STEP as f32 / scene.frame_rate_hz();
         world.edit(|simulator| simulator.observe_poses(dt_s, &units))?;

@@ -7,8 +7,8 @@ use nalgebra::{Isometry3, Vector3};
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
-    CommandError, Compliance, EditError, JoinError, Limits, ObserveError, Physics, Plane, Posed,
-    Role, SnapshotError, StepError, StepReport, UnitId, Velocity,
+    CommandError, Compliance, ContactLaw, EditError, JoinError, Limits, ObserveError, Physics,
+    Plane, Posed, Role, SnapshotError, StepError, StepReport, UnitId, Velocity,
 };
 
 use crate::engine::Engine;
@@ -47,6 +47,8 @@ pub struct Start<'a> {
     pub planes: Option<&'a [Plane]>,
     /// How contact with the first planes gives way; those behind are rigid, or as the state has them.
     pub plane_compliance: &'a [Compliance],
+    /// How contacts that bounce differ from rigid ones; not at all where none is given, or as the state has it.
+    pub contact_law: Option<ContactLaw>,
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
     /// Pivots at which units are held together; [`pivots::find`] finds some.
@@ -54,7 +56,7 @@ pub struct Start<'a> {
 }
 
 impl<'a> Start<'a> {
-    /// A world as it is: its units with roles, velocities, joints and bonds, its planes, gravity and command. Futures go on from it
+    /// A world as it is: its units with roles, velocities, joints and bonds, its planes, contact law, gravity and command. Futures go on from it
     /// with its bits.
     pub fn of(state: &'a StartState) -> Self {
         Start { state: Some(state), dt_s: state.dt_s(), ..Start::default() }
@@ -551,6 +553,9 @@ impl BatchSimulator {
             }
             for (plane, compliance) in start.plane_compliance.iter().enumerate() {
                 simulator.set_plane_compliance(plane, *compliance)?;
+            }
+            if let Some(law) = start.contact_law {
+                simulator.set_contact_law(law)?;
             }
             if let Some(gravity) = start.gravity_m_s2 {
                 simulator.set_gravity(gravity)?;

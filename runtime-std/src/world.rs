@@ -3,8 +3,9 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
-    EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs, SnapshotError, Stage,
-    StepError, StepReport, Trace, Unit, UnitId, UnitSlot, Velocity, WorkspaceError,
+    ContactLaw, EditError, Layer, Limits, Plane, Schedule, Simulator, SlabSizes, Slabs,
+    SnapshotError, Stage, StepError, StepReport, Trace, Unit, UnitId, UnitSlot, Velocity,
+    WorkspaceError,
 };
 use self_cell::{MutBorrow, self_cell};
 
@@ -358,6 +359,24 @@ impl World {
     /// [`EditError`]; the scene is what it was.
     pub fn set_dt(&mut self, dt_s: f32) -> Result<(), EditError> {
         self.edit(|simulator| simulator.set_dt(dt_s))
+    }
+
+    /// Says how contacts that bounce differ from rigid ones ([`Simulator::set_contact_law`]).
+    ///
+    /// ```
+    /// use rigidformer_core::Limits;
+    /// use rigidformer_runtime::{models::LoadedModel, world::World};
+    /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// let mut world = World::new(&model, Limits { units: 1, points: 8 })?;
+    /// world.set_contact_law("0.03,pyramid".parse()?)?;
+    /// assert_eq!(world.simulator().contact_law().to_string(), "0.03,pyramid");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EditError`]; the law is what it was.
+    pub fn set_contact_law(&mut self, law: ContactLaw) -> Result<(), EditError> {
+        self.edit(|simulator| simulator.set_contact_law(law))
     }
 
     /// Replaces the planes of the scene; none is a scene without ground ([`Simulator::set_planes`]).

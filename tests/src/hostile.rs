@@ -39,7 +39,6 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
-    contact_law: rigidformer_core::weights::ContactLaw::RIGID,
     most_units: 0,
 };
 

@@ -100,6 +100,7 @@ impl Seen {
         // World first: an observation works out contacts with the planes that are there.
         simulator.set_gravity(self.scene.gravity_m_s2()).expect("gravity");
         simulator.set_planes(self.scene.planes().expect("planes")).expect("planes");
+        simulator.set_contact_law(self.scene.contact_law()).expect("contact law");
         simulator.observe(self.dt_s(), self.units()).map(|_| ())
     }
 }

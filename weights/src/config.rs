@@ -333,37 +333,6 @@ impl Scope {
     }
 }
 
-/// Where friction at a contact that bounces is limited.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum FrictionLimit {
-    /// Along and across the sliding together: Coulomb's law.
-    #[default]
-    Cone,
-    /// Along the sliding and across it apart, as Bullet does.
-    Pyramid,
-}
-
-/// How contacts in the recordings that a model has learned from differ from rigid ones (docs/CONTACT.md). It belongs to the
-/// model's correction: without the network contacts are rigid. With [`Motion::Impulses`] alone; version 10 of the format.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct ContactLaw {
-    /// Is added to the restitution of each pair, up to 1; 0 to 1.
-    pub restitution_offset: f32,
-    /// Of contacts that bounce.
-    pub friction: FrictionLimit,
-}
-
-impl ContactLaw {
-    /// That of rigid contacts.
-    pub const RIGID: ContactLaw =
-        ContactLaw { restitution_offset: 0.0, friction: FrictionLimit::Cone };
-
-    /// Whether contacts are rigid ones, in any floating-point environment.
-    pub fn is_rigid(&self) -> bool {
-        order(self.restitution_offset) == 0 && self.friction == FrictionLimit::Cone
-    }
-}
-
 /// Sizes and physics of one model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ModelConfig {
@@ -426,9 +395,6 @@ pub struct ModelConfig {
     /// Units that the network sees.
     #[serde(skip)]
     pub scope: Scope,
-    /// What contacts in its recordings are like.
-    #[serde(skip)]
-    pub contact_law: ContactLaw,
     /// Copies of more units than this are not corrected: they move by rigid impulses alone; 0: all are. With [`Motion::Impulses`]
     /// alone; version 10 of the format.
     #[serde(skip)]
@@ -449,14 +415,9 @@ impl ModelConfig {
         if self.hidden.fuse == 0 { self.width } else { self.hidden.fuse }
     }
 
-    /// Whether it says how contacts differ from rigid ones, or which scenes it leaves alone.
-    fn has_rules(&self) -> bool {
-        !self.contact_law.is_rigid() || self.most_units > 0
-    }
-
     /// The oldest version of the format that holds the model.
     pub(crate) fn version(&self, panels: bool) -> u32 {
-        if self.has_rules() {
+        if self.most_units > 0 {
             10
         } else if self.scope.is_near() {
             8

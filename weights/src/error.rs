@@ -51,6 +51,11 @@ pub enum FormatError {
     /// A file of a newer version than what it holds needs.
     #[error("an older format version can hold this model; pack it again")]
     NeedlessVersion,
+    /// Bytes that version 10 keeps free are not 0.
+    #[error(
+        "the header's reserved bytes are not 0: a contact law is a scene's, not a model's; pack the model again without it"
+    )]
+    Reserved,
     /// The bytes start at an address that tensors cannot be read from.
     #[error(
         "the bytes start {remainder} after a 16-byte boundary; embed them with `include_model!`, or put them into \

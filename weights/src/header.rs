@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "health")]
 use crate::layout::{RANGED, VERSION, is_left_out};
-use crate::layout::{RULED, fields_of};
+use crate::layout::{RESERVED, RULED, fields_of};
 use crate::order::is_finite;
 use crate::{DType, FormatError, Hidden, MAX_NAME_BYTES, MAX_TENSORS, ModelConfig, Shape};
 
@@ -114,7 +114,7 @@ impl<'a> Header<'a> {
         }
         if has_rules {
             config.scope = cursor.scope()?;
-            config.contact_law = cursor.take("contact law")?;
+            cursor.reserved()?;
             config.most_units = cursor.take("most units")?;
         }
         config.validate()?;
@@ -178,6 +178,14 @@ impl<'a> Cursor<'a> {
             // As version 8, which says so by its number.
             #[cfg(not(feature = "host"))]
             true => Err(FormatError::Version { found: RULED, supported: RULED - 1 }),
+        }
+    }
+
+    /// What is kept free: how contacts differ from rigid ones is a scene's to say.
+    fn reserved(&mut self) -> Result<(), FormatError> {
+        match self.take("reserved words")? {
+            RESERVED => Ok(()),
+            _ => Err(FormatError::Reserved),
         }
     }
 

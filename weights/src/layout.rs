@@ -17,8 +17,11 @@ pub const VERSION: u32 = 10;
 #[cfg(feature = "health")]
 pub(crate) const RANGED: u32 = 9;
 
-/// The version of models with a contact law, or a limit of what they correct.
+/// The version of models with a limit of what they correct.
 pub(crate) const RULED: u32 = 10;
+
+/// Bytes that such files keep free.
+pub(crate) const RESERVED: [u8; 5] = [0; 5];
 
 /// The version whose header has the fields of one: what sets version 8 apart from 4 is its number.
 pub(crate) const fn fields_of(version: u32) -> u32 {

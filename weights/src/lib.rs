@@ -103,9 +103,9 @@ pub use aligned::Aligned;
 #[cfg(feature = "std")]
 pub use buffer::AlignedBuffer;
 pub use config::{
-    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, ContactLaw, Directions, Elastic, FeatureSet,
-    FrictionLimit, Hidden, IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig,
-    Motion, Scales, Scope, Similarity,
+    BLEND_CODE, BLEND_HIDDEN, BOND_FEATURES, Directions, Elastic, FeatureSet, Hidden,
+    IMPACT_FEATURES, IMPACT_PUSHES, IMPACTS, MAX_NEIGHBOURS, ModelConfig, Motion, Scales, Scope,
+    Similarity,
 };
 pub use decimal::{AtMost, Decimal};
 pub use error::{FormatError, Section};

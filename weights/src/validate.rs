@@ -104,7 +104,7 @@ pub enum ConfigError {
         /// The field that does not go with it.
         field: &'static str,
     },
-    /// A contact law, or a limit of units, with what it does not go with.
+    /// A limit of units, with what it does not go with.
     #[error(
         "`{field}` goes with `motion` Impulses, without `bonds`; leave it out for other models"
     )]
@@ -159,7 +159,6 @@ impl ModelConfig {
         elastic: crate::Elastic::NONE,
         bonds: 0,
         scope: crate::Scope::All,
-        contact_law: crate::ContactLaw::RIGID,
         most_units: 0,
     };
 
@@ -320,17 +319,12 @@ impl ModelConfig {
 }
 
 impl ModelConfig {
-    /// Checks that a contact law, and a limit of what is corrected, are those of impulses.
+    /// Checks that a limit of what is corrected is that of impulses.
     fn validate_rules(&self) -> Result<(), ConfigError> {
-        let law = self.contact_law;
-        number("contact_law.restitution_offset", law.restitution_offset, 0.0, 1.0)?;
-        if self.motion.has_impulses() && self.bonds == 0 {
-            return Ok(());
-        }
-        match (law.is_rigid(), self.most_units) {
-            (true, 0) => Ok(()),
-            (false, _) => Err(ConfigError::Rules { field: "contact_law" }),
-            (true, _) => Err(ConfigError::Rules { field: "most_units" }),
+        let is_of_impulses = self.motion.has_impulses() && self.bonds == 0;
+        match is_of_impulses || self.most_units == 0 {
+            true => Ok(()),
+            false => Err(ConfigError::Rules { field: "most_units" }),
         }
     }
 }

@@ -6,7 +6,7 @@ use std::string::String;
 use std::vec::Vec;
 
 use crate::header::Entry;
-use crate::layout::{PREFIX_BYTES, Prefix, RANGED, RULED, crc32, fields_of};
+use crate::layout::{PREFIX_BYTES, Prefix, RANGED, RESERVED, RULED, crc32, fields_of};
 use crate::{
     AlignedBuffer, ConfigError, DType, FormatError, ModelConfig, ModelFile, Ranges, Shape,
     TENSOR_ALIGNMENT, TensorData,
@@ -169,8 +169,8 @@ impl<'a> ModelWriter<'a> {
             out = postcard::to_extend(&self.config.similarity, out)?;
         }
         if version == RULED {
-            let ModelConfig { scope, contact_law, most_units, .. } = self.config;
-            out = postcard::to_extend(&(scope.is_near(), contact_law, most_units), out)?;
+            let ModelConfig { scope, most_units, .. } = self.config;
+            out = postcard::to_extend(&(scope.is_near(), RESERVED, most_units), out)?;
         } else {
             out = self.more_fields(version, out)?;
         }

@@ -3,6 +3,7 @@
 //! | file | does |
 //! |---|---|
 //! | `ground` | the planes of a scene |
+//! | `law` | how contacts that bounce differ from rigid ones |
 //! | `pieces` | convex pieces of hollow units |
 //! | `impacts` | a unit's first impacts under free motion |
 //! | `solver` | rigid motion with contact by sequential impulses |
@@ -10,6 +11,7 @@
 
 pub(crate) mod ground;
 pub(crate) mod impacts;
+pub(crate) mod law;
 pub(crate) mod pieces;
 pub(crate) mod prior;
 mod solver;

@@ -5,8 +5,8 @@ use super::state::Simulator;
 impl Simulator<'_, '_> {
     /// Lets the network correct motion, as it does at first, or leaves it out: what a model is worth shows beside the same motion without it.
     ///
-    /// Without the network its output is 0, and contacts are rigid, whatever the model's
-    /// [contact law](rigidformer_weights::ContactLaw) says. Models that move units by impulses then move them by impulses alone.
+    /// Without the network its output is 0. Models that move units by impulses then move them by impulses alone, by the scene's
+    /// [contact law](Self::set_contact_law).
     ///
     /// ```
     /// use nalgebra::{Isometry3, Point3};

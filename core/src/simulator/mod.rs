@@ -6,6 +6,7 @@
 //! | `observe` | a scene from two frames |
 //! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
+//! | `correction`, `law` | whether the network corrects motion, and how contacts bounce |
 //! | `velocity` | velocities of units, read and set |
 //! | `bond` | bonds between units |
 //! | `join` | joints between units |
@@ -31,6 +32,7 @@ mod hold;
 mod integrate;
 #[cfg(feature = "robot")]
 mod join;
+mod law;
 mod measure;
 mod observe;
 mod prepare;

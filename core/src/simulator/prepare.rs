@@ -7,7 +7,7 @@ use crate::limits::MAX_COMMAND;
 use crate::slices::{rows as rows_of, rows_mut};
 use crate::structure::heading::{self, ROBOT, is_robot};
 use crate::workspace::command_places;
-use rigidformer_weights::{ContactLaw, Directions};
+use rigidformer_weights::Directions;
 
 /// Room for a command as a heading has it.
 const SEEN: usize = if ROBOT { MAX_COMMAND } else { 0 };
@@ -28,9 +28,6 @@ impl Simulator<'_, '_> {
         if is_robot(self.model.config()) {
             heading::turn_frames(&mut self.scene);
         }
-        let config = self.model.config();
-        self.scene.contact_law =
-            if self.corrects() { config.contact_law } else { ContactLaw::RIGID };
         self.modulate(schedule);
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! What a simulator holds, and how it is made.
 
 use crate::contact::ground::Plane;
+use crate::contact::law::ContactLaw;
 use crate::error::WorkspaceError;
 use crate::limits::{Layout, Limits, MAX_PLANES};
 use crate::measure::Measure;
@@ -16,7 +17,6 @@ use crate::structure::bonds::BONDS;
 use crate::structure::soft_points::SoftPoints;
 use crate::workspace::{Lasting, Rows, carve};
 use nalgebra::Vector3;
-use rigidformer_weights::ContactLaw;
 
 /// A scene of units and the model that advances it, in memory that the caller owns.
 ///

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use rigidformer_weights::{
-    ContactLaw, Directions, Elastic, FeatureSet, FrictionLimit, Hidden, ModelConfig, Motion,
-    Scales, Scope, Shape, Similarity,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Shape, Similarity,
 };
 use safetensors::{Dtype, SafeTensors, tensor::TensorView};
 use serde::Deserialize;
@@ -129,27 +128,12 @@ struct LabConfig {
     /// Units that the network sees.
     #[serde(default)]
     scope: LabScope,
-    /// None: rigid contact.
-    #[serde(default)]
-    law: Option<LabLaw>,
+    /// Null: contact laws are those of scenes. Older exports say so.
+    #[serde(default, rename = "law")]
+    _law: (),
     /// 0: copies of any number of units are corrected.
     #[serde(default)]
     most_units: u32,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct LabLaw {
-    restitution_offset: f32,
-    #[serde(default)]
-    pyramid: bool,
-}
-
-impl LabLaw {
-    fn packed(self) -> ContactLaw {
-        let friction = if self.pyramid { FrictionLimit::Pyramid } else { FrictionLimit::Cone };
-        ContactLaw { restitution_offset: self.restitution_offset, friction }
-    }
 }
 
 #[derive(Clone, Copy, Default, Deserialize)]
@@ -274,7 +258,6 @@ impl LabConfig {
                 LabScope::All => Scope::All,
                 LabScope::Near => Scope::Near,
             },
-            contact_law: self.law.map_or(ContactLaw::RIGID, LabLaw::packed),
             most_units: self.most_units,
             similarity: Similarity { length_m: self.length_m, longest_step: self.longest_step },
         })

@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use rigidformer_runtime::models::{LoadedModel, ModelError};
-use rigidformer_weights::{
-    AlignedBuffer, ContactLaw, ModelConfig, ModelFile, ModelWriter, Ranges, Scope,
-};
+use rigidformer_weights::{AlignedBuffer, ModelConfig, ModelFile, ModelWriter, Ranges, Scope};
 
 use super::error::{PackError, SourceProblem};
 
@@ -52,28 +50,21 @@ pub fn with_scope(name: &Path, packed: &[u8], scope: Scope) -> Result<Vec<u8>, P
     rewritten(name, packed, &[], |config| ModelConfig { scope, ..config }, kept)
 }
 
-/// A packed model with another contact law, and another number of units up to which it corrects; errors call it `name`. Everything
-/// else stays, tensors byte for byte.
+/// A packed model with another number of units up to which it corrects, 0 for any; errors call it `name`. Everything else stays,
+/// tensors byte for byte.
 ///
 /// # Errors
-/// As [`with_provenance`]; [`PackError::Write`] where the model's motion or its bonds do not go with either.
+/// As [`with_provenance`]; [`PackError::Write`] where the model's motion or its bonds do not go with that.
 ///
 /// ```
 /// use rigidformer_evaluation::models::with_rules;
 /// use rigidformer_runtime::models::LoadedModel;
-/// use rigidformer_weights::ContactLaw;
-/// let file = with_rules("edge.rfm".as_ref(), rigidformer_weights::EDGE, ContactLaw::RIGID, 8)?;
+/// let file = with_rules("edge.rfm".as_ref(), rigidformer_weights::EDGE, 8)?;
 /// assert_eq!(LoadedModel::copy_of("edge.rfm", &file)?.model().config().most_units, 8);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub fn with_rules(
-    name: &Path,
-    packed: &[u8],
-    contact_law: ContactLaw,
-    most_units: u32,
-) -> Result<Vec<u8>, PackError> {
-    let change = |config| ModelConfig { contact_law, most_units, ..config };
-    rewritten(name, packed, &[], change, kept)
+pub fn with_rules(name: &Path, packed: &[u8], most_units: u32) -> Result<Vec<u8>, PackError> {
+    rewritten(name, packed, &[], |config| ModelConfig { most_units, ..config }, kept)
 }
 
 /// A packed model that says what training saw; errors call it `name`. Everything else stays, tensors byte for byte.

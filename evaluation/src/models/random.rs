@@ -41,7 +41,6 @@ pub const PAPER: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
-    contact_law: rigidformer_weights::ContactLaw::RIGID,
     most_units: 0,
 };
 
@@ -267,7 +266,7 @@ pub fn without_network(config: &ModelConfig) -> Result<Option<Vec<u8>>, WriteErr
     uncorrected(config).map(Some)
 }
 
-/// As [`without_network`], of any motion: what a model's network corrects, and rigid contacts.
+/// As [`without_network`], of any motion: what a model's network corrects.
 ///
 /// # Errors
 /// As [`without_network`].
@@ -295,7 +294,6 @@ pub fn uncorrected(config: &ModelConfig) -> Result<Vec<u8>, WriteError> {
         directions: Directions::NONE,
         bonds: 0,
         scope: rigidformer_weights::Scope::All,
-        contact_law: rigidformer_weights::ContactLaw::RIGID,
         most_units: 0,
         ..*config
     };

@@ -61,6 +61,11 @@ impl<'a> Tensors<'a> {
             .ok_or_else(|| self.fail(format!("metadata {name}"), Problem::Missing))
     }
 
+    /// Whether a metadata entry is there.
+    pub(super) fn has_entry(&self, name: &str) -> bool {
+        self.header.metadata().as_ref().is_some_and(|entries| entries.contains_key(name))
+    }
+
     /// A metadata entry that must be one of some texts, `expected` in words: which one it is.
     pub(super) fn require<const N: usize>(
         &self,

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{Compliance, Physics, Plane, Role};
+use rigidformer_core::{Compliance, ContactLaw, Physics, Plane, Role};
 use rigidformer_runtime::files::{FileError, read_whole};
 use rigidformer_runtime::memory::{Budget, TooLarge};
 
@@ -44,6 +44,7 @@ pub struct Dataset {
     frame_rate_hz: f32,
     gravity_m_s2: [f32; 3],
     version: u32,
+    contact_law: ContactLaw,
     /// Planes of all scenes.
     planes: Vec<Plane>,
     /// Of each of them, where files have it.
@@ -135,6 +136,7 @@ impl Dataset {
         if frame_rate_hz <= 0.0 {
             return Err(unparsable(&file, "frame_rate_hz", "a number above 0"));
         }
+        let contact_law = read_contact_law(&file)?;
         let mut shapes = read_shapes(&file)?;
         let mut units = read_units(&file, shapes.len())?;
         // Tensors of these names mean nothing in a file of version 1.
@@ -219,6 +221,7 @@ impl Dataset {
             frame_rate_hz,
             gravity_m_s2,
             version,
+            contact_law,
             planes,
             plane_compliance,
             scene_planes,
@@ -259,6 +262,11 @@ impl Dataset {
     /// Gravity, m/s².
     pub fn gravity_m_s2(&self) -> [f32; 3] {
         self.gravity_m_s2
+    }
+
+    /// How contacts that bounce differ from rigid ones in what recorded the scenes.
+    pub fn contact_law(&self) -> ContactLaw {
+        self.contact_law
     }
 
     /// Version of the format that the file is written in, 1 or 2.
@@ -588,6 +596,7 @@ impl Dataset {
         };
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
+            .with_checked_contact_law(self.contact_law)
             .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec())
             .with_checked_plane_compliance(self.plane_compliance_of(index).to_vec())
             .with_checked_mesh(self.mesh_of(index))
@@ -728,6 +737,19 @@ fn first_after_the_end(poses: &[u8], recorded: usize) -> Option<usize> {
 fn unparsable(file: &Tensors<'_>, name: &str, expected: &'static str) -> SceneError {
     let found = file.entry(name).unwrap_or_default().into();
     file.fail(format!("metadata {name}"), Problem::Unparsable { found, expected })
+}
+
+/// How contacts differ from rigid ones; files that do not say it have rigid ones.
+fn read_contact_law(file: &Tensors<'_>) -> Result<ContactLaw, SceneError> {
+    let expected =
+        "a number from 0 to 1, with `,pyramid` behind it or without, such as 0.03,pyramid";
+    match file.has_entry("contact_law") {
+        true => file
+            .entry("contact_law")?
+            .parse()
+            .map_err(|_| unparsable(file, "contact_law", expected)),
+        false => Ok(ContactLaw::RIGID),
+    }
 }
 
 /// The one plane of all scenes of version 1.

@@ -143,6 +143,9 @@ pub enum Problem {
         /// Plane within the scene.
         plane: usize,
     },
+    /// A contact law out of range.
+    #[error("needs a contact law whose restitution_offset is from 0 to 1")]
+    BadContactLaw,
     /// A row of a soft body's mesh put together wrongly.
     #[error("row {row} of {list} {what}")]
     BadMesh {
@@ -204,6 +207,7 @@ impl Problem {
             | Problem::BadUnit { .. }
             | Problem::BadPlane { .. }
             | Problem::BadPlaneCompliance { .. }
+            | Problem::BadContactLaw
             | Problem::BadMesh { .. }
             | Problem::BadBond { .. } => "correct the scene before using it",
             Problem::TooManyPlanes { .. } => "keep at most 8 planes a scene",

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{Compliance, MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit};
+use rigidformer_core::{
+    Compliance, ContactLaw, MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit,
+};
 use rigidformer_runtime::pivots::Pivot;
 
 use super::bonds::{RecordedBond, clusters};
@@ -231,6 +233,7 @@ pub struct RecordedScene {
     planes: Option<Vec<Plane>>,
     /// Of each plane; none: all are rigid.
     plane_compliance: Vec<Compliance>,
+    contact_law: ContactLaw,
     commands: Option<Commands>,
     pivots: Vec<Pivot>,
     mesh: SoftMesh,
@@ -300,6 +303,7 @@ impl RecordedScene {
             frames,
             planes,
             plane_compliance: Vec::new(),
+            contact_law: ContactLaw::RIGID,
             commands,
             pivots,
             mesh: SoftMesh::default(),
@@ -461,6 +465,39 @@ impl RecordedScene {
         &self.plane_compliance
     }
 
+    /// The same scene, recorded by what has such contacts: those that bounce differ from rigid ones.
+    ///
+    /// # Errors
+    /// [`Problem::BadContactLaw`] for an offset that is not from 0 to 1.
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3, Vector3};
+    /// # use rigidformer_core::Physics;
+    /// # use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
+    /// # let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    /// # let unit = RecordedUnit::new("x", vec![Point3::origin(); 4], physics, vec![Isometry3::identity()]);
+    /// # let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::zeros(), vec![unit])?;
+    /// let scene = scene.with_contact_law("0.03,pyramid".parse()?)?;
+    /// assert_eq!(scene.contact_law().restitution_offset, 0.03);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_contact_law(self, law: ContactLaw) -> Result<Self, SceneError> {
+        match law.is_sound() {
+            true => Ok(self.with_checked_contact_law(law)),
+            false => Err(in_memory(self.name, Problem::BadContactLaw)),
+        }
+    }
+
+    /// The same scene with a law that a file's reader has checked.
+    pub(super) fn with_checked_contact_law(self, contact_law: ContactLaw) -> Self {
+        Self { contact_law, ..self }
+    }
+
+    /// How contacts that bounce differ from rigid ones in what recorded it.
+    pub fn contact_law(&self) -> ContactLaw {
+        self.contact_law
+    }
+
     /// The same scene with other units and planes, which are checked as those of a new one.
     #[cfg(feature = "contact")]
     pub(crate) fn with_parts(
@@ -478,6 +515,7 @@ impl RecordedScene {
         // Not the scene whole: its poses are most of it.
         Ok(Self {
             plane_compliance: self.plane_compliance.clone(),
+            contact_law: self.contact_law,
             commands: self.commands.clone(),
             pivots: self.pivots.clone(),
             mesh: self.mesh.clone(),

@@ -309,6 +309,11 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
         metadata.insert("ground_friction".into(), ground.friction.to_string().into());
         metadata.insert("ground_restitution".into(), ground.restitution.to_string().into());
     }
+    let law = scene.contact_law();
+    // Programs that do not know it read files without it.
+    if let (false, Some(metadata)) = (law.is_rigid(), metadata.as_object_mut()) {
+        metadata.insert("contact_law".into(), law.to_string().into());
+    }
     layout.header.insert("__metadata__".into(), metadata);
 
     let mut header = Value::Object(layout.header).to_string();

@@ -6,7 +6,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::{
-    ContactLaw, Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope,
     Similarity,
 };
 
@@ -40,7 +40,6 @@ pub const CONFIG: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: Scope::All,
-    contact_law: ContactLaw::RIGID,
     most_units: 24,
 };
 /// The configuration of the model in flash; images check that it is that.
@@ -72,7 +71,6 @@ pub const CONFIG: ModelConfig = ModelConfig {
     elastic: Elastic::NONE,
     bonds: 0,
     scope: Scope::All,
-    contact_law: ContactLaw::RIGID,
     most_units: 0,
 };
 /// The configuration of the model in flash; images check that it is that.
@@ -114,7 +112,6 @@ pub const CONFIG: ModelConfig = ModelConfig {
     },
     bonds: 0,
     scope: Scope::All,
-    contact_law: ContactLaw::RIGID,
     most_units: 0,
 };
 /// Units that a scene may have: ten bodies, the 31 links of a robot, or the eight patches of a sheet and a sphere.

@@ -52,6 +52,7 @@ fn run(arguments: &Walk) -> anyhow::Result<()> {
         units: &units,
         planes: scene.planes(),
         plane_compliance: scene.plane_compliance(),
+        contact_law: Some(scene.contact_law()),
         gravity_m_s2: Some(scene.gravity_m_s2()),
         pivots: scene.pivots(),
         ..Start::default()

@@ -1,7 +1,7 @@
 //! The scene of an identification without its motion, and contacts in it.
 
 use nalgebra::{Isometry3, Point3, Vector3};
-use rigidformer_core::{Compliance, MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{Compliance, ContactLaw, MAX_PLANES, Physics, Plane, Role};
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 
 use super::settings::IdentifyError;
@@ -24,6 +24,7 @@ pub(crate) struct StaticScene {
     pub(crate) planes: Vec<Plane>,
     /// Of each plane; none: all are rigid.
     pub(crate) plane_compliance: Vec<Compliance>,
+    pub(crate) contact_law: ContactLaw,
     pub(crate) gravity: Vector3<f32>,
     /// (units) Radius about the centroid of the points, metres.
     pub(crate) radii: Vec<f32>,
@@ -62,9 +63,9 @@ impl StaticScene {
         let planes = scene.planes().map_or_else(|| vec![ground], <[Plane]>::to_vec);
         let units =
             scene.units().iter().map(|unit| RecordedUnit { poses: Vec::new(), ..unit.clone() });
-        let of_planes = scene.plane_compliance().to_vec();
+        let plane_compliance = scene.plane_compliance().to_vec();
         let read = StaticScene::of(units.collect(), planes, scene.gravity_m_s2())?;
-        Ok(StaticScene { plane_compliance: of_planes, ..read })
+        Ok(StaticScene { plane_compliance, contact_law: scene.contact_law(), ..read })
     }
 
     /// Units that are rigid.
@@ -91,8 +92,8 @@ impl StaticScene {
             points.map(|point| (point - centroid).norm()).fold(0.0, f32::max)
         });
         let radii = radii.collect();
-        let plane_compliance = Vec::new();
-        Ok(StaticScene { units, planes, plane_compliance, gravity, radii, centroids })
+        let (plane_compliance, contact_law) = (Vec::new(), ContactLaw::RIGID);
+        Ok(StaticScene { units, planes, plane_compliance, contact_law, gravity, radii, centroids })
     }
 
     /// Whether each unit is moved by the model.

@@ -388,6 +388,7 @@ impl Window {
             units: &units,
             planes: Some(&scene.planes),
             plane_compliance: &scene.plane_compliance,
+            contact_law: Some(scene.contact_law),
             gravity_m_s2: Some(scene.gravity),
             ..Start::default()
         };

@@ -12,9 +12,9 @@ mod viewers;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use rigidformer_core::ContactLaw;
 use rigidformer_evaluation::models::Precision;
 use rigidformer_evaluation::scenes::Dataset;
-use rigidformer_weights::{ContactLaw, FrictionLimit};
 
 pub(crate) use calibrate::{Calibrate, Contact};
 pub(crate) use import::Import;
@@ -196,14 +196,15 @@ pub(crate) struct Evaluate {
     pub(crate) split: SplitName,
     #[command(flatten)]
     pub(crate) model: Model,
-    /// Impulses alone: the model's motion without what its network corrects, and rigid contacts
+    /// Impulses alone: the model's motion without what its network corrects
     #[arg(long, visible_alias = "no-network")]
     pub(crate) without_network: bool,
     #[command(flatten)]
     pub(crate) contact: Contact,
-    /// How contacts that bounce differ from rigid ones in the record: what is added to restitutions, 0 to 1, and a pyramid of
-    /// friction in place of the cone. PyBullet's is 0.03,pyramid (docs/CONTACT.md); of models that move units by impulses, with the network and without it
-    #[arg(long, value_name = "OFFSET[,pyramid]", value_parser = contact_law)]
+    /// How contacts that bounce differ from rigid ones, in place of what the file says: what is added to restitutions, 0 to 1, and a
+    /// pyramid of friction in place of the cone. PyBullet's is 0.03,pyramid, that of rigid contact 0 (docs/CONTACT.md); of models that
+    /// move units by impulses, with the network and without it
+    #[arg(long, value_name = "OFFSET[,pyramid]")]
     pub(crate) contact_law: Option<ContactLaw>,
     /// Step codes, with commas between [default: 1,5,10; of robots 10]
     #[arg(long, value_name = "S", value_delimiter = ',')]
@@ -326,25 +327,6 @@ pub(crate) enum PieceSource {
     Groups,
     /// V-HACD of the whole mesh
     Vhacd,
-}
-
-/// `0.03`, or `0.03,pyramid`.
-fn contact_law(text: &str) -> Result<ContactLaw, String> {
-    let (offset, friction) = match text.split_once(',') {
-        None => (text, FrictionLimit::Cone),
-        Some((offset, "pyramid")) => (offset, FrictionLimit::Pyramid),
-        Some((_, other)) => {
-            return Err(format!(
-                "`{other}` is no shape of friction; give `pyramid`, or leave it out for a cone"
-            ));
-        }
-    };
-    match offset.parse::<f32>() {
-        Ok(restitution_offset) if (0.0..=1.0).contains(&restitution_offset) => {
-            Ok(ContactLaw { restitution_offset, friction })
-        }
-        _ => Err(format!("`{offset}` is no number from 0 to 1")),
-    }
 }
 
 /// How convex pieces are written.

@@ -11,7 +11,6 @@ mod tosses;
 use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 
-use rigidformer_evaluation::models;
 use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::rollout::{open_loop_on, rollout_on};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene, Split};
@@ -73,7 +72,7 @@ pub(crate) fn run(arguments: &Evaluate) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let first = || dataset.scenes_of(Split::from(arguments.split)).first().copied();
     let scene = dataset.scene(arguments.index.or_else(first).unwrap_or(0), None)?;
-    let scene = contact::applied_to(&arguments.contact, scene)?;
+    let scene = lawful(arguments, contact::applied_to(&arguments.contact, scene)?)?;
     let mut made = measure(arguments, cancelled)?;
     made.extend(viewers.made(&moving(arguments, &dataset, scene, cancelled)?)?);
     interrupt::check()?;
@@ -110,23 +109,22 @@ fn model(arguments: &Evaluate) -> anyhow::Result<LoadedModel> {
         true => defaults::without_network(&loaded)?,
         false => loaded,
     };
-    Ok(lawful(arguments, loaded)?.for_host()?)
-}
-
-/// The model with the contact law that is asked for.
-fn lawful(arguments: &Evaluate, loaded: LoadedModel) -> anyhow::Result<LoadedModel> {
-    let Some(law) = arguments.contact_law else { return Ok(loaded) };
-    // The law is asked for, whatever scenes the model leaves alone.
-    let config = loaded.model().config();
-    if !config.motion.has_impulses() || config.bonds > 0 {
+    if arguments.contact_law.is_some() && !loaded.model().config().motion.has_impulses() {
         let name = loaded.model().file().name();
         let problem = format!(
-            "--contact-law: {name} does not move units by impulses alone; give edge or nano, or leave it out"
+            "--contact-law: {name} does not move units by impulses; give edge or nano, or leave it out"
         );
         return Err(Usage(problem).into());
     }
-    let ruled = models::with_rules(loaded.path(), loaded.bytes(), law, 0)?;
-    Ok(LoadedModel::copy_of(loaded.path(), &ruled)?)
+    Ok(loaded.for_host()?)
+}
+
+/// A scene with the contact law that is asked for.
+fn lawful(arguments: &Evaluate, scene: RecordedScene) -> anyhow::Result<RecordedScene> {
+    match arguments.contact_law {
+        Some(law) => Ok(scene.with_contact_law(law)?),
+        None => Ok(scene),
+    }
 }
 
 fn measure(arguments: &Evaluate, cancelled: &AtomicBool) -> anyhow::Result<Made> {
@@ -208,6 +206,8 @@ fn run_metric<M: Metric>(
     let progress = Progress { cancelled, ..Progress::none() };
     let scenes = M::load(dataset, split, arguments.limit, progress)?;
     let scenes = contact::applied(&arguments.contact, scenes)?;
+    let scenes: Vec<_> =
+        scenes.into_iter().map(|scene| lawful(arguments, scene)).collect::<anyhow::Result<_>>()?;
     let loaded = model(arguments)?;
     let steps = arguments.steps_or(M::STEPS);
     let task = Task { arguments, dataset, split, scenes: &scenes, loaded: &loaded, steps };
@@ -216,7 +216,7 @@ fn run_metric<M: Metric>(
     // would have to.
     let alone = match arguments.without_network || loaded.model().config().bonds > 0 {
         true => None,
-        false => Some(lawful(arguments, defaults::uncorrected(&loaded)?)?),
+        false => Some(defaults::uncorrected(&loaded)?),
     };
     let without = alone.as_ref().map(|alone| Task { loaded: alone, ..task });
     let calls = M::calls(&task) + without.as_ref().map_or(0, M::calls);
@@ -233,8 +233,13 @@ fn run_metric<M: Metric>(
     bar.finish_and_clear();
     interrupt::check()?;
     let gains = without.as_ref().map(|without| gains(&figures.headlines(), &without.figures));
+    // A file has one law.
+    let law = arguments.contact_law.unwrap_or(dataset.contact_law());
     if arguments.json {
         let mut document = figures.json(&task);
+        if let Value::Object(fields) = &mut document {
+            fields.insert("contact_law".into(), law.to_string().into());
+        }
         if let (Value::Object(fields), Some(without), Some(gains)) = (&mut document, without, gains)
         {
             fields.insert("without_network".into(), without.document["model"].clone());
@@ -250,6 +255,9 @@ fn run_metric<M: Metric>(
         output::json(&document)?;
     } else {
         figures.print(&task)?;
+        if !law.is_rigid() {
+            output::line(format_args!("\ncontact law {law}"))?;
+        }
         if let Some(gains) = gains {
             print_gains(&gains)?;
         }

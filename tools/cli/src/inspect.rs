@@ -84,12 +84,6 @@ fn config_fields(config: &ModelConfig) -> anyhow::Result<Map<String, Value>> {
     if config.scope.is_near() {
         fields.insert("scope".into(), json!("near"));
     }
-    if !config.contact_law.is_rigid() {
-        fields.insert(
-            "contact_law".into(),
-            serde_json::from_str(&serde_json::to_string(&config.contact_law)?)?,
-        );
-    }
     if config.most_units > 0 {
         fields.insert("most_units".into(), config.most_units.into());
     }
@@ -273,6 +267,7 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "units_in_pieces": dataset.units_in_pieces(),
         "frame_rate_hz": short(dataset.frame_rate_hz()),
         "gravity_m_s2": dataset.gravity_m_s2().map(short),
+        "contact_law": dataset.contact_law().to_string(),
         "roles": roles(dataset).into_iter().map(|(name, units)| (name.to_owned(), json!(units))).collect::<Map<_, _>>(),
         "bodies": bodies,
         "units_sharing_a_body": sharing,
@@ -376,6 +371,9 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     section("bonds", (bonds > 0).then_some(row).into_iter())?;
     let [x, y, z] = dataset.gravity_m_s2();
     let mut world = vec![("gravity".to_owned(), format!("{x} {y} {z} m/s²"))];
+    if !dataset.contact_law().is_rigid() {
+        world.push(("contact law".into(), dataset.contact_law().to_string()));
+    }
     if dataset.has_velocities() {
         world.push(("velocities".into(), "of all units at frame 0".into()));
     }

@@ -1,13 +1,12 @@
-//! Version 10 of the format: a contact law, and the most units that a model corrects.
+//! Version 10 of the format: the most units that a model corrects.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub)]
 
 use crate::common::{error, repair};
 use rigidformer_weights::{
-    AlignedBuffer, ContactLaw, FeatureSet, FormatError, FrictionLimit, ModelConfig, ModelFile,
-    ModelWriter, Motion, Ranges, Scope,
+    AlignedBuffer, FeatureSet, FormatError, ModelConfig, ModelFile, ModelWriter, Motion, Ranges,
+    Scope,
 };
 
-const LAW: ContactLaw = ContactLaw { restitution_offset: 0.25, friction: FrictionLimit::Pyramid };
 const IMPULSES: ModelConfig =
     ModelConfig { features: FeatureSet::Impact, motion: Motion::Impulses, ..ModelConfig::TINY };
 
@@ -17,16 +16,8 @@ fn packed(config: ModelConfig) -> Vec<u8> {
 
 #[test]
 fn everything_comes_back() {
-    let offset = ContactLaw { friction: FrictionLimit::Cone, ..LAW };
-    let pyramid = ContactLaw { restitution_offset: 0.0, ..LAW };
-    for (contact_law, most_units, scope) in [
-        (LAW, 32, Scope::Near),
-        (LAW, 0, Scope::All),
-        (offset, 0, Scope::All),
-        (pyramid, 1, Scope::Near),
-        (ContactLaw::RIGID, u32::MAX, Scope::All),
-    ] {
-        let config = ModelConfig { contact_law, most_units, scope, ..IMPULSES };
+    for (most_units, scope) in [(32, Scope::Near), (1, Scope::All), (u32::MAX, Scope::All)] {
+        let config = ModelConfig { most_units, scope, ..IMPULSES };
         let bytes = packed(config);
         assert_eq!(bytes[8], 10);
         assert_eq!(*ModelFile::parse(&AlignedBuffer::copy_of(&bytes)).unwrap().config(), config);
@@ -41,36 +32,37 @@ fn everything_comes_back() {
 
 #[test]
 fn rules_go_with_impulses() {
-    for (config, field) in [
-        (ModelConfig { contact_law: LAW, ..ModelConfig::TINY }, "contact_law"),
-        (ModelConfig { most_units: 3, ..ModelConfig::TINY }, "most_units"),
-        (ModelConfig { contact_law: LAW, bonds: 8, ..IMPULSES }, "contact_law"),
+    for config in [
+        ModelConfig { most_units: 3, ..ModelConfig::TINY },
+        ModelConfig { most_units: 3, bonds: 8, ..IMPULSES },
     ] {
         let error = ModelWriter::new("x", config).finish().unwrap_err().to_string();
-        assert!(error.contains(&format!("`{field}` goes with `motion` Impulses")), "{error}");
+        assert!(error.contains("`most_units` goes with `motion` Impulses"), "{error}");
     }
 }
 
-/// The same file with another offset and number of units, which no writer would write.
-fn with(offset: f32, friction: u8, most_units: u8) -> Vec<u8> {
-    let mut bytes = packed(ModelConfig { contact_law: LAW, most_units: 5, ..IMPULSES });
+/// The same file with other reserved bytes and another number of units, which no writer would write.
+fn with(reserved: [u8; 5], most_units: u8) -> Vec<u8> {
+    let mut bytes = packed(ModelConfig { most_units: 5, ..IMPULSES });
     // Before three counts of zero.
     let end = 64 + u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize - 3;
-    assert_eq!(bytes[end - 6..end], [&0.25_f32.to_le_bytes()[..], &[1, 5]].concat());
-    bytes[end - 6..end - 2].copy_from_slice(&offset.to_le_bytes());
-    bytes[end - 2..end].copy_from_slice(&[friction, most_units]);
+    assert_eq!(bytes[end - 6..end], [0, 0, 0, 0, 0, 5]);
+    bytes[end - 6..end - 1].copy_from_slice(&reserved);
+    bytes[end - 1] = most_units;
     assert!(repair(&mut bytes));
     bytes
 }
 
+/// Models had a contact law there, which scenes have now.
 #[test]
-fn hostile_laws_are_refused() {
-    for offset in [f32::NAN, -0.1, 1.5, f32::INFINITY] {
-        let message = error(&with(offset, 0, 0)).to_string();
-        assert!(message.contains("`contact_law.restitution_offset` is"), "{message}");
+fn reserved_bytes_are_0() {
+    for number in [0.03, -0.0, f32::NAN, f32::MIN_POSITIVE / 2.0] {
+        let [a, b, c, d] = f32::to_le_bytes(number);
+        let error = error(&with([a, b, c, d, 0], 5));
+        assert_eq!(error, FormatError::Reserved);
+        assert!(error.to_string().contains("reserved bytes are not 0"), "{error}");
     }
-    assert!(matches!(error(&with(0.25, 2, 0)), FormatError::Header { .. }));
+    assert_eq!(error(&with([0, 0, 0, 0, 1], 5)), FormatError::Reserved);
     // What an older version holds is of that.
-    assert_eq!(error(&with(0.0, 0, 0)), FormatError::NeedlessVersion);
-    assert_eq!(error(&with(-0.0, 0, 0)), FormatError::NeedlessVersion);
+    assert_eq!(error(&with([0; 5], 0)), FormatError::NeedlessVersion);
 }

@@ -1,6 +1,7 @@
 //! The world that the solver works in, and units as it moves them.
 
 use crate::contact::ground::Plane;
+use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
     POSE, Pose, STATE, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
@@ -8,7 +9,6 @@ use crate::geometry::{
 use crate::math;
 use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
 use nalgebra::{Matrix3, Point3, Vector3};
-use rigidformer_weights::FrictionLimit;
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
 /// lands would bounce on for ever.

@@ -3,6 +3,7 @@
 use super::*;
 use crate::contact::ground::Plane;
 use crate::contact::impacts::inertia;
+use crate::contact::law::{ContactLaw, FrictionLimit};
 use crate::contact::pieces::Pieces;
 use crate::geometry::{
     Hull, Pose, Precision, STATE, extreme_points, norm, product, read_pose, separation,
@@ -14,7 +15,6 @@ use crate::measure::Measure;
 use crate::scene::{Compliance, Physics, Unit};
 use crate::stand_in::OfCompliance;
 use nalgebra::{Matrix3, Point3, Vector3};
-use rigidformer_weights::{ContactLaw, FrictionLimit};
 use std::{format, vec, vec::Vec};
 
 mod closed_forms;

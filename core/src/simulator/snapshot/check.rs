@@ -2,11 +2,13 @@
 
 use super::identity::identity;
 use super::layout::{
-    BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, HEAD, MAGIC,
-    NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT, VERSION, role_of,
+    BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, HEAD, LAW,
+    LAWFUL, MAGIC, NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT,
+    VERSION, limit_of, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
+use crate::contact::law::ContactLaw;
 use crate::error::SnapshotError;
 use crate::geometry::{COURSE, POSE, dot};
 use crate::limits::{ANCHORS, MAX_COORDINATE_M, MAX_PIECES, MAX_PLANES};
@@ -107,8 +109,25 @@ impl<'b> Checked<'b> {
         if self.gives_way() { COMPLIANCE } else { 0 }
     }
 
+    /// Whether it says how contacts that bounce differ from rigid ones.
+    fn is_lawful(&self) -> bool {
+        self.flags() & LAWFUL != 0
+    }
+
+    /// How they differ.
+    pub(super) fn contact_law(&self) -> ContactLaw {
+        if !self.is_lawful() {
+            return ContactLaw::RIGID;
+        }
+        let restitution_offset = self.words.number(HEAD + SCENE);
+        // Checked to be one.
+        let friction = limit_of(self.words.word(HEAD + SCENE + 1)).unwrap_or_default();
+        ContactLaw { restitution_offset, friction }
+    }
+
     fn start_of_plane(&self, number: usize) -> usize {
-        HEAD + SCENE + number * (PLANE + self.compliance_words())
+        let law = if self.is_lawful() { LAW } else { 0 };
+        HEAD + SCENE + law + number * (PLANE + self.compliance_words())
     }
 
     /// How contact with a plane gives way.
@@ -340,6 +359,7 @@ impl Simulator<'_, '_> {
     /// Planes, gravity, the measure and the time step.
     fn check_world(&self, checked: &mut Checked<'_>) -> Result<(), SnapshotError> {
         let config = self.model.config();
+        Self::check_flags(checked)?;
         for plane in 0..checked.planes {
             let at = checked.start_of_plane(plane);
             ensure(checked.plane(plane).is_sound_here(), at)?;
@@ -368,6 +388,11 @@ impl Simulator<'_, '_> {
             let time = Time::new(dt_s, &measure, &gravity, config);
             checked.time = Some(time.map_err(|_| unsound(HEAD + 5))?);
         }
+        Ok(())
+    }
+
+    /// Flags, and what follows from them.
+    fn check_flags(checked: &Checked<'_>) -> Result<(), SnapshotError> {
         #[cfg(not(feature = "health"))]
         if checked.flags() & QUARANTINES != 0 {
             return Err(SnapshotError::LeftOut);
@@ -375,7 +400,17 @@ impl Simulator<'_, '_> {
         if cfg!(not(feature = "compliance")) && checked.gives_way() {
             return Err(SnapshotError::LeftOut);
         }
-        ensure(checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK, HEAD + 4)
+        if checked.is_lawful() {
+            let law = checked.contact_law();
+            // A law of rigid contacts is none, and a zero has no sign.
+            let is_plain = law.restitution_offset.is_sign_positive() && !law.is_rigid();
+            ensure(law.is_sound() && is_plain, HEAD + SCENE)?;
+            ensure(limit_of(checked.words.word(HEAD + SCENE + 1)).is_some(), HEAD + SCENE + 1)?;
+        }
+        ensure(
+            checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK | LAWFUL,
+            HEAD + 4,
+        )
     }
 
     /// Names, and what hangs from what.

@@ -1,5 +1,6 @@
 //! Where the words of a snapshot are, and what some of them mean.
 
+use crate::contact::law::FrictionLimit;
 use crate::geometry::{COURSE, POSE};
 use crate::scene::Role;
 
@@ -35,8 +36,12 @@ pub(super) const QUARANTINES: u32 = 2;
 pub(super) const GIVES_WAY: u32 = 4;
 /// The network does not correct motion.
 pub(super) const NO_NETWORK: u32 = 8;
+/// Contacts that bounce are no rigid ones: [`LAW`] words behind those of the scene say how they differ.
+pub(super) const LAWFUL: u32 = 16;
 /// Words of how contact gives way.
 pub(super) const COMPLIANCE: usize = 2;
+/// Words of how contacts that bounce differ from rigid ones.
+pub(super) const LAW: usize = 2;
 
 /// The solver takes the unit for a ball.
 pub(super) const BALL: u32 = 1 << 2;
@@ -44,6 +49,20 @@ pub(super) const BALL: u32 = 1 << 2;
 pub(super) const PATCH: u32 = 1 << 3;
 /// Where the number of its pieces begins.
 pub(super) const PIECES: u32 = 8;
+
+/// A limit of friction as a number.
+pub(super) fn code_of_limit(friction: FrictionLimit) -> u32 {
+    match friction {
+        FrictionLimit::Cone => 0,
+        FrictionLimit::Pyramid => 1,
+    }
+}
+
+/// The limit of friction of a number.
+pub(super) fn limit_of(code: u32) -> Option<FrictionLimit> {
+    let all = [FrictionLimit::Cone, FrictionLimit::Pyramid];
+    all.into_iter().find(|friction| code_of_limit(*friction) == code)
+}
 
 /// A role as a number.
 pub(super) fn code_of(role: Role) -> u32 {

@@ -5,7 +5,7 @@
 //! | part | holds |
 //! |---|---|
 //! | head | magic, version, the model's identity, copies, the next name |
-//! | scene | counts, flags, time step, gravity, measure, planes; units, pairs of bonds, points and hulls, which all copies share |
+//! | scene | counts, flags, time step, gravity, measure, contact law, planes; units, pairs of bonds, points and hulls, which all copies share |
 //! | copies | a copy each: physics, poses and targets of its units, its bonds, its command, its soft points |
 //! | end | a checksum of all |
 //!
@@ -24,8 +24,8 @@ use crate::scene::{Compliance, UnitSlot};
 use crate::slices::slice_at;
 use core::ops::Range;
 use layout::{
-    BALL, COMMANDED, END, GIVES_WAY, HEAD, MAGIC, NO_NETWORK, PATCH, PIECES, QUARANTINES, VERSION,
-    code_of,
+    BALL, COMMANDED, END, GIVES_WAY, HEAD, LAWFUL, MAGIC, NO_NETWORK, PATCH, PIECES, QUARANTINES,
+    VERSION, code_of, code_of_limit,
 };
 use nalgebra::Vector3;
 use words::{Compare, Count, Sink, WORD, Writer};
@@ -37,7 +37,7 @@ impl Simulator<'_, '_> {
     }
 
     /// Writes the whole state of the scene to the caller's bytes: units with their points, poses in both frames, targets, joints,
-    /// bonds, points of soft units, commands, planes, gravity and time step, in all copies. How many bytes it took.
+    /// bonds, points of soft units, commands, planes, contact law, gravity and time step, in all copies. How many bytes it took.
     /// Whoever goes on from it by [`restore`](Self::restore), in this simulator or in another one of the same model, gets
     /// the same bits as this simulator, whatever its kernels, threads, limits and target. Its length is that of
     /// [`snapshot_bytes`](Self::snapshot_bytes).
@@ -115,7 +115,7 @@ impl Simulator<'_, '_> {
         Ok(())
     }
 
-    /// Goes on with one copy from a [snapshot of one copy](Self::snapshot_copy), of the same scene: planes, gravity, time step, units,
+    /// Goes on with one copy from a [snapshot of one copy](Self::snapshot_copy), of the same scene: planes, contact law, gravity, time step, units,
     /// joints and pairs of bonds are those of the other copies.
     ///
     /// # Errors
@@ -200,12 +200,18 @@ impl Simulator<'_, '_> {
         let commanded = if self.commanded { COMMANDED } else { 0 };
         let giving = if gives_way { GIVES_WAY } else { 0 };
         let network = if self.has_network { 0 } else { NO_NETWORK };
-        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving | network);
+        let law = scene.contact_law;
+        let lawful = if law.is_rigid() { 0 } else { LAWFUL };
+        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving | network | lawful);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());
         to.number(scene.measure.mass());
         to.vector(&scene.measure.origin());
+        if !law.is_rigid() {
+            to.number(law.restitution_offset);
+            to.word(code_of_limit(law.friction));
+        }
         for (number, plane) in given.planes.iter().enumerate() {
             to.vector(&plane.normal);
             to.numbers([plane.offset_m, plane.friction, plane.restitution]);

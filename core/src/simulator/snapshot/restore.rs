@@ -37,6 +37,7 @@ impl Simulator<'_, '_> {
         self.next_id = self.next_id.max(checked.next_id());
         self.commanded = checked.flags() & COMMANDED != 0;
         self.has_network = checked.flags() & NO_NETWORK == 0;
+        self.scene.contact_law = checked.contact_law();
         self.quarantines = OfHealth::new(checked.flags() & QUARANTINES != 0);
         let (mut start, mut hull_start, mut at) = (0, 0, checked.start_of_points());
         let points = checked.points();

@@ -95,12 +95,9 @@ pub(super) fn run(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
     }
     if config.most_units > 0 {
         output::line(format_args!(
-            "- Scenes of more than {} units are left alone: they move without the network, with rigid contacts.",
+            "- Scenes of more than {} units are left alone: they move without the network.",
             config.most_units
         ))?;
-    }
-    if !config.contact_law.is_rigid() {
-        line("- Its contact law is that of its recordings, and not of other bodies.")?;
     }
     line(
         "- Scenes unlike its data are not known; `rigidformer inspect SCENES --health` counts them.",

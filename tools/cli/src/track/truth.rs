@@ -119,6 +119,9 @@ impl Truth {
         let points = units.iter().map(|unit| unit.as_unit().room()).sum();
         let mut world = World::new(model, Limits { units: units.len(), points })?;
         world.set_gravity(self.scene.gravity_m_s2())?;
+        if physics.is_none() {
+            world.set_contact_law(self.scene.contact_law())?;
+        }
         if let Some(planes) = self.scene.planes() {
             let planes: Vec<Plane> = planes
                 .iter()

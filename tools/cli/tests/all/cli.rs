@@ -328,6 +328,66 @@ fn evaluate_rolls_tosses_out_in_open_loop() {
     assert!(!table.contains("Drake") && !table.contains("% of an edge"), "{table}");
 }
 
+/// A scene file may say how contacts in it differ from rigid ones: all commands that step its scenes follow, with the network and
+/// without it.
+#[test]
+fn scenes_have_the_contact_law_of_their_file() {
+    let folder = Folder::new();
+    let scene = toss(&folder, "tossed");
+    let bytes = std::fs::read(&scene).unwrap();
+    let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+    let with = |name: &str, law: &str| {
+        let mut header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
+        header["__metadata__"]["contact_law"] = law.into();
+        let mut header = header.to_string();
+        header.extend(std::iter::repeat_n(' ', header.len().next_multiple_of(8) - header.len()));
+        let made = [&(header.len() as u64).to_le_bytes(), header.as_bytes(), &bytes[8 + length..]];
+        let path = folder.path(name);
+        std::fs::write(&path, made.concat()).unwrap();
+        path
+    };
+    let lawful = with("lawful.safetensors", "0.3,pyramid");
+    let evaluated = |path: &str, more: &[&str]| -> serde_json::Value {
+        let usual = ["evaluate", path, "--model", NANO, "--steps", "5", "--json"];
+        serde_json::from_str(&works(&[&usual, more].concat())).unwrap()
+    };
+    let (plain, ruled) = (evaluated(&scene, &[]), evaluated(&lawful, &[]));
+    assert_eq!(
+        (&plain["contact_law"], &ruled["contact_law"]),
+        (&"0".into(), &"0.3,pyramid".into())
+    );
+    assert_eq!(ruled["changed_by"], serde_json::json!([]));
+    for part in ["model", "without_network"] {
+        assert_ne!(plain[part], ruled[part], "{part}");
+        // The option has the same law, and takes the file's place.
+        for (path, law, expected) in [
+            (&scene, "0.3,pyramid", &ruled),
+            (&lawful, "0", &plain),
+            (&lawful, "0.3,pyramid", &ruled),
+        ] {
+            let asked = evaluated(path, &["--contact-law", law]);
+            assert_eq!(asked[part], expected[part], "{law}");
+            assert_eq!(asked["changed_by"], serde_json::json!(["--contact-law"]));
+        }
+    }
+    let alone = evaluated(&lawful, &["--without-network"]);
+    assert_eq!(
+        (&alone["model"], &alone["contact_law"]),
+        (&ruled["without_network"], &"0.3,pyramid".into())
+    );
+
+    assert!(works(&["inspect", &lawful]).contains("0.3,pyramid"));
+    let shown: serde_json::Value =
+        serde_json::from_str(&works(&["inspect", &lawful, "--json"])).unwrap();
+    assert_eq!(shown["contact_law"], "0.3,pyramid");
+    for (number, law) in ["", "2", "-0.1", "NaN", "0.1,cone", "0.1,pyramid,"].iter().enumerate() {
+        let out = run(&["evaluate", &with(&format!("{number}.safetensors"), law), "--model", NANO]);
+        let said = text(&out.stderr);
+        assert!(!out.status.success());
+        assert!(said.contains("metadata contact_law") && said.contains("from 0 to 1"), "{said}");
+    }
+}
+
 /// The same motion without the network stands beside a model, and the model's file and card can keep both.
 #[test]
 fn what_a_network_is_worth_is_shown_and_kept() {
@@ -376,6 +436,8 @@ fn what_a_network_is_worth_is_shown_and_kept() {
     let lawful = evaluated(&["--json", "--contact-law", "0.3,pyramid"]);
     let other: serde_json::Value = serde_json::from_str(&lawful).unwrap();
     assert_eq!(other["changed_by"], serde_json::json!(["--contact-law"]));
+    assert_eq!((&other["contact_law"], &json["contact_law"]), (&"0.3,pyramid".into(), &"0".into()));
+    assert!(evaluated(&["--contact-law", "0.3"]).contains("contact law 0.3"));
     std::fs::write(&figures, lawful).unwrap();
     refused(&["pack", NANO, "--metrics", &figures, "--out", &packed], "--contact-law");
     std::fs::write(&figures, "{}").unwrap();

@@ -46,7 +46,6 @@ pub const SMALLEST: ModelConfig = ModelConfig {
     elastic: rigidformer_weights::Elastic::NONE,
     bonds: 0,
     scope: rigidformer_weights::Scope::All,
-    contact_law: rigidformer_weights::ContactLaw::RIGID,
     most_units: 0,
 };
 

@@ -412,6 +412,10 @@ enum rf_status
    */
   RF_ERROR_NO_COMPLIANCE = 117,
   /**
+   * The restitution offset of a contact law is NaN or outside 0 to 1.
+   */
+  RF_ERROR_BAD_CONTACT_LAW = 118,
+  /**
    * A unit cannot be bonded to itself. Detail: the id `found`.
    */
   RF_ERROR_BOND_ITSELF = 120,
@@ -1363,7 +1367,7 @@ rf_status rf_set_planes(struct rf_simulator *simulator,
 
 /**
  * Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them
- * before its network corrects that, and contacts are rigid. It lasts beyond observations.
+ * before its network corrects that. It lasts beyond observations.
  *
  * @param simulator  the simulator
  * @param corrects   1 or 0
@@ -1371,6 +1375,32 @@ rf_status rf_set_planes(struct rf_simulator *simulator,
  */
 rf_status rf_set_network(struct rf_simulator *simulator,
                          uint32_t corrects);
+
+/**
+ * Says how contacts that bounce differ from rigid ones: the law of whatever recorded the scene. Without this call they are
+ * rigid. It holds with the network and without it, and lasts beyond observations. It is for models that move units by impulses;
+ * with others it has no effect.
+ *
+ * @param simulator           the simulator
+ * @param restitution_offset  is added to the restitution of each pair, up to 1: from 0 to 1
+ * @param pyramid             1: friction is limited along the sliding and across it apart, as Bullet does; 0: together
+ * @return RF_OK, an error of the call or RF_ERROR_BAD_CONTACT_LAW. Where it is refused, the law is what it was
+ */
+rf_status rf_set_contact_law(struct rf_simulator *simulator,
+                             float restitution_offset,
+                             uint32_t pyramid);
+
+/**
+ * How contacts that bounce differ from rigid ones, as rf_set_contact_law said.
+ *
+ * @param simulator           the simulator
+ * @param restitution_offset  out: what is added to the restitution of each pair
+ * @param pyramid             out: 1 or 0
+ * @return RF_OK or an error of the call
+ */
+rf_status rf_contact_law(const struct rf_simulator *simulator,
+                         float *restitution_offset,
+                         uint32_t *pyramid);
 
 /**
  * Changes gravity; without this call it is the model's. It lasts beyond observations.

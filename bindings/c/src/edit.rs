@@ -19,7 +19,7 @@ use nalgebra::Point3;
 use nalgebra::Vector3;
 #[cfg(feature = "robot")]
 use rigidformer_core::Joint;
-use rigidformer_core::{MAX_PLANES, Plane, Simulator, UnitId, Velocity};
+use rigidformer_core::{ContactLaw, FrictionLimit, MAX_PLANES, Plane, Simulator, UnitId, Velocity};
 
 /// Adds a unit behind the others, given its poses a step ago and now: twice the same for a unit at
 /// rest. The motion of the other units goes on. The scene needs a time step, from an observation or
@@ -358,7 +358,7 @@ pub unsafe extern "C" fn rf_set_planes(
 }
 
 /// Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them
-/// before its network corrects that, and contacts are rigid. It lasts beyond observations.
+/// before its network corrects that. It lasts beyond observations.
 ///
 /// @param simulator  the simulator
 /// @param corrects   1 or 0
@@ -372,6 +372,60 @@ pub unsafe extern "C" fn rf_set_network(simulator: *mut rf_simulator, corrects: 
     unsafe {
         with_simulator(simulator, |locked| {
             locked.simulator().set_network(corrects != 0);
+            Ok(())
+        })
+    }
+}
+
+/// Says how contacts that bounce differ from rigid ones: the law of whatever recorded the scene. Without this call they are
+/// rigid. It holds with the network and without it, and lasts beyond observations. It is for models that move units by impulses;
+/// with others it has no effect.
+///
+/// @param simulator           the simulator
+/// @param restitution_offset  is added to the restitution of each pair, up to 1: from 0 to 1
+/// @param pyramid             1: friction is limited along the sliding and across it apart, as Bullet does; 0: together
+/// @return RF_OK, an error of the call or RF_ERROR_BAD_CONTACT_LAW. Where it is refused, the law is what it was
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_contact_law(
+    simulator: *mut rf_simulator,
+    restitution_offset: f32,
+    pyramid: u32,
+) -> rf_status {
+    let friction = if pyramid == 0 { FrictionLimit::Cone } else { FrictionLimit::Pyramid };
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            Ok(locked.simulator().set_contact_law(ContactLaw { restitution_offset, friction })?)
+        })
+    }
+}
+
+/// How contacts that bounce differ from rigid ones, as rf_set_contact_law said.
+///
+/// @param simulator           the simulator
+/// @param restitution_offset  out: what is added to the restitution of each pair
+/// @param pyramid             out: 1 or 0
+/// @return RF_OK or an error of the call
+///
+/// # Safety
+/// As rf_observe.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_contact_law(
+    simulator: *const rf_simulator,
+    restitution_offset: *mut f32,
+    pyramid: *mut u32,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            let offset = locked.output(restitution_offset, 1)?;
+            let shape = locked.output(pyramid, 1)?;
+            let law = locked.simulator().contact_law();
+            offset.write(law.restitution_offset);
+            shape.write(u32::from(law.friction == FrictionLimit::Pyramid));
             Ok(())
         })
     }

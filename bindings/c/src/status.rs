@@ -163,6 +163,7 @@ impl From<EditError> for rf_detail {
             EditError::NoSuchPlane { plane, planes } => {
                 Self::numbers(RF_ERROR_NO_SUCH_PLANE, plane as u64, planes as u64)
             }
+            EditError::BadContactLaw => Self::of(RF_ERROR_BAD_CONTACT_LAW),
             EditError::BadGravity => Self::of(RF_ERROR_BAD_GRAVITY),
             // A simulator of this interface has one copy of its scene.
             _ => Self::of(RF_ERROR_OTHER),
@@ -365,6 +366,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_COMPLIANCE, c"a contact stiffness or dissipation is out of its range"),
     (RF_ERROR_NO_SUCH_PLANE, c"the scene has no plane of that number"),
     (RF_ERROR_NO_COMPLIANCE, c"this library was built without compliance"),
+    (RF_ERROR_BAD_CONTACT_LAW, c"the restitution offset of a contact law is not from 0 to 1"),
     (RF_ERROR_BOND_ITSELF, c"a unit cannot be bonded to itself"),
     (RF_ERROR_BOND_NOT_FREE, c"only free rigid units hold together"),
     (RF_ERROR_BOND_JOINED, c"a unit that is joined to another cannot be bonded"),
@@ -437,6 +439,7 @@ mod tests {
             104, 105, 106, 107, // state
             112, 113, 114, // command, velocity
             115, 116, 117, // compliance
+            118, // contact law
             120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];

@@ -226,6 +226,8 @@ pub enum rf_status {
     /// The library was built without compliance: the feature `compliance` of rigidformer-capi, which `std`
     /// has.
     RF_ERROR_NO_COMPLIANCE = 117,
+    /// The restitution offset of a contact law is NaN or outside 0 to 1.
+    RF_ERROR_BAD_CONTACT_LAW = 118,
 
     /// A unit cannot be bonded to itself. Detail: the id `found`.
     RF_ERROR_BOND_ITSELF = 120,

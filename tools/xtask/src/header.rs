@@ -146,7 +146,7 @@ mod tests {
 
     /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `bindings/c/src/status.rs`
     /// makes codes of them.
-    const REFUSALS: [(&str, &[&str]); 17] = [
+    const REFUSALS: [(&str, &[&str]); 18] = [
         ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
         ("rf_remove", &["NO_SUCH_ID", "DEFORMS"]),
         ("rf_drive", &["NO_SUCH_ID", "NOT_DRIVEN", "BAD_POSE"]),
@@ -162,6 +162,7 @@ mod tests {
         ("rf_set_plane_compliance", &["NO_SUCH_PLANE", "BAD_COMPLIANCE", "NO_COMPLIANCE"]),
         ("rf_set_role", &["NO_SUCH_ID", "BAD_ROLE", "BONDED", "DEFORMS"]),
         ("rf_set_planes", &["TOO_MANY_PLANES", "BAD_PLANE"]),
+        ("rf_set_contact_law", &["BAD_CONTACT_LAW"]),
         ("rf_set_gravity", &["BAD_GRAVITY", "BAD_TIMESTEP"]),
         ("rf_set_dt", &["BAD_TIMESTEP"]),
         ("rf_join", &["NO_SUCH_ID", "BAD_JOINT", "BONDED", "DEFORMS", "NO_JOINTS"]),

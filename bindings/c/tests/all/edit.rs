@@ -10,8 +10,8 @@ use rigidformer_capi::ffi::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
-    Compliance, Joint, Limits, Model, Observed, Physics, Pieces, Plane, Posed, Role, Simulator,
-    SlabSizes, Slabs, Unit, UnitSlot,
+    Compliance, ContactLaw, FrictionLimit, Joint, Limits, Model, Observed, Physics, Pieces, Plane,
+    Posed, Role, Simulator, SlabSizes, Slabs, Unit, UnitSlot,
 };
 use rigidformer_weights::{FeatureSet, ModelConfig, Motion};
 use std::ptr::{null, null_mut};
@@ -212,6 +212,16 @@ fn changes_have_the_bits_of_the_core() {
             both(core);
             assert_eq!(rf_set_network(handle, 1), RF_OK);
             core.set_network(true);
+
+            let (mut offset, mut pyramid) = (9.0, 9);
+            assert_eq!(rf_contact_law(handle, &mut offset, &mut pyramid), RF_OK);
+            assert_eq!((offset, pyramid), (0.0, 0));
+            assert_eq!(rf_set_contact_law(handle, 0.25, 1), RF_OK);
+            let friction = FrictionLimit::Pyramid;
+            core.set_contact_law(ContactLaw { restitution_offset: 0.25, friction }).unwrap();
+            both(core);
+            assert_eq!(rf_contact_law(handle, &mut offset, &mut pyramid), RF_OK);
+            assert_eq!((offset, pyramid), (0.25, 1));
 
             let (there, here) = (at(0.1, 0.0, 0.5), at(0.11, 0.0, 0.5));
             assert_eq!(rf_set_poses(handle, cube, &there, &here), RF_OK);
@@ -447,6 +457,10 @@ fn null_and_odd_pointers_are_refused() {
                 rf_set_planes(null_mut(), &WALL, 1),
                 rf_set_gravity(null_mut(), [0.0; 3].as_ptr()),
                 rf_set_network(null_mut(), 0),
+                rf_set_contact_law(null_mut(), 0.0, 0),
+                rf_contact_law(null_mut(), &mut 0.0, &mut 0),
+                rf_contact_law(handle, null_mut(), &mut 0),
+                rf_contact_law(handle, &mut 0.0, null_mut()),
                 rf_set_dt(null_mut(), DT_S),
             ] {
                 assert_eq!(status, RF_ERROR_NULL);
@@ -532,6 +546,9 @@ fn bad_changes_are_refused() {
             }
             for gravity in [[f32::NAN, 0.0, 0.0], [0.0, 2e4, 0.0], [0.0, 0.0, -f32::INFINITY]] {
                 check(rf_set_gravity(handle, gravity.as_ptr()), RF_ERROR_BAD_GRAVITY);
+            }
+            for offset in [-0.1, 1.5, f32::NAN, f32::INFINITY] {
+                check(rf_set_contact_law(handle, offset, 1), RF_ERROR_BAD_CONTACT_LAW);
             }
             for dt in [0.0, -1.0, f32::NAN, f32::INFINITY] {
                 check(rf_set_dt(handle, dt), RF_ERROR_BAD_TIMESTEP);

@@ -24,7 +24,7 @@ use crate::interrupt::{held, interruptible};
 use crate::model::Model;
 use crate::pickle::Arguments;
 use crate::scene::Scene;
-use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
+use crate::unit::{Plane, Unit, array_of_vector, law_of, law_pair, planes, planes_of};
 use crate::whole;
 use crate::world::engine;
 
@@ -53,6 +53,8 @@ const PHYSICS: usize = 3;
 ///     None: the model's ground.
 /// plane_compliance : sequence of (float, float)
 ///     Stiffness, N/m, and dissipation, s/m, of contact with each plane. None given: all are rigid.
+/// contact_law : tuple of float and str, optional
+///     As ``World.contact_law``. None: contacts are rigid, or as the state has it.
 /// gravity_m_s2 : array, (3,), optional
 ///     None: the model's.
 /// pivots : sequence of Pivot
@@ -83,6 +85,7 @@ pub(crate) struct Start {
     command: Vec<f32>,
     planes: Option<Vec<core::Plane>>,
     plane_compliance: Vec<core::Compliance>,
+    contact_law: Option<core::ContactLaw>,
     gravity_m_s2: Option<Vector3<f32>>,
     pivots: Vec<Pivot>,
 }
@@ -109,6 +112,7 @@ impl Start {
             command: &self.command,
             planes: self.planes.as_deref(),
             plane_compliance: &self.plane_compliance,
+            contact_law: self.contact_law,
             gravity_m_s2: self.gravity_m_s2,
             pivots: &self.pivots,
         }
@@ -129,6 +133,7 @@ impl Start {
             command: Vec::new(),
             planes: None,
             plane_compliance: Vec::new(),
+            contact_law: None,
             gravity_m_s2: None,
             pivots: Vec::new(),
         }
@@ -138,7 +143,7 @@ impl Start {
 #[pymethods]
 impl Start {
     #[new]
-    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, plane_compliance = Vec::new(), gravity_m_s2 = None, pivots = Vec::new(), state = None))]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, plane_compliance = Vec::new(), contact_law = None, gravity_m_s2 = None, pivots = Vec::new(), state = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         dt_s: f32,
@@ -148,6 +153,7 @@ impl Start {
         command: Option<&Bound<'_, PyAny>>,
         planes: Option<Vec<Bound<'_, Plane>>>,
         plane_compliance: Vec<(f32, f32)>,
+        contact_law: Option<(f32, String)>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         pivots: Vec<Bound<'_, bonds::Pivot>>,
         state: Option<(Vec<u8>, usize, usize)>,
@@ -178,12 +184,13 @@ impl Start {
                     dissipation_s_m,
                 })
                 .collect(),
+            contact_law: contact_law.map(|given| law_of(Some(given))).transpose()?,
             gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
             pivots: pivots.iter().map(|pivot| pivot.get().found()).collect(),
         })
     }
 
-    /// From a recorded scene, with its planes, gravity and commands.
+    /// From a recorded scene, with its planes, contact law, gravity and commands.
     ///
     /// Parameters
     /// ----------
@@ -246,6 +253,7 @@ impl Start {
             command: scene.command_of_step(frame, frame.saturating_add(step)).unwrap_or_default(),
             planes: scene.planes().map(<[core::Plane]>::to_vec),
             plane_compliance: scene.plane_compliance().to_vec(),
+            contact_law: Some(scene.contact_law()),
             gravity_m_s2: Some(scene.gravity_m_s2()),
             pivots,
         })
@@ -270,6 +278,9 @@ impl Start {
         let compliance = |own: &core::Compliance| (own.stiffness_n_m, own.dissipation_s_m);
         let compliance: Vec<_> = self.plane_compliance.iter().map(compliance).collect();
         more.set_item("plane_compliance", compliance)?;
+        // Of a rigid one as well: it may stand beside a state that has another.
+        let law = self.contact_law.as_ref().map(law_pair);
+        more.set_item("contact_law", law)?;
         more.set_item("gravity_m_s2", gravity)?;
         more.set_item("pivots", pivots)?;
         if let Some(state) = &self.state {

@@ -17,7 +17,7 @@ use crate::arrays::{self, Floats, POSE};
 use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
 use crate::interrupt::{free, held};
-use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of};
+use crate::unit::{Plane, Unit, array_of_vector, law, law_of, planes, planes_of};
 use crate::whole;
 
 /// The program's, byte for byte: a source distribution holds no file of another folder that is no crate of its own.
@@ -191,6 +191,8 @@ impl Dataset {
 /// frame_rate_hz : float
 ///     Above 0.
 /// gravity_m_s2 : array, (3,)
+/// contact_law : tuple of float and str, optional
+///     As ``World.contact_law``: of what recorded the scene. None: contacts are rigid.
 /// planes : sequence of Plane, optional
 ///     None: not known, and rollouts stand on the model's ground.
 /// commands : array of float32, (frames, size), optional
@@ -223,13 +225,14 @@ pub(crate) struct Scene {
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, planes = None, commands = None, soft_points = None, bonds = Vec::new(), name = "scene", seed = 0, split = "extra"))]
+    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, contact_law = None, planes = None, commands = None, soft_points = None, bonds = Vec::new(), name = "scene", seed = 0, split = "extra"))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         units: Vec<Bound<'_, Unit>>,
         poses: &Bound<'_, PyAny>,
         frame_rate_hz: f32,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
+        contact_law: Option<(f32, String)>,
         planes: Option<Vec<Bound<'_, Plane>>>,
         commands: Option<&Bound<'_, PyAny>>,
         soft_points: Option<&Bound<'_, PyAny>>,
@@ -254,7 +257,7 @@ impl Scene {
         let split = split.parse::<Split>().or_raise()?;
         let recorded = recorded.collect();
         let scene = RecordedScene::new(name, seed, split, frame_rate_hz, gravity, recorded);
-        let mut scene = scene.or_raise()?;
+        let mut scene = scene.or_raise()?.with_contact_law(law_of(contact_law)?).or_raise()?;
         if let Some(planes) = planes {
             scene = scene.with_planes(planes_of(&planes)).or_raise()?;
         }
@@ -277,6 +280,7 @@ impl Scene {
         let (seed, split, rate) = (read.seed(), read.split(), read.frame_rate_hz());
         let mut scene =
             RecordedScene::new(name, seed, split, rate, read.gravity_m_s2(), units).or_raise()?;
+        scene = scene.with_contact_law(read.contact_law()).or_raise()?;
         if let Some(planes) = read.planes().filter(|_| knows_planes) {
             scene = scene.with_planes(planes.to_vec()).or_raise()?;
             let compliance = read.plane_compliance().to_vec();
@@ -337,6 +341,12 @@ impl Scene {
     #[getter]
     fn gravity_m_s2<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         array_of_vector(py, &self.scene.gravity_m_s2())
+    }
+
+    /// tuple of float and str, or None: how contacts that bounce differ from rigid ones in what recorded it, as ``World.contact_law``.
+    #[getter]
+    fn contact_law(&self) -> Option<(f32, &'static str)> {
+        law(&self.scene.contact_law())
     }
 
     /// tuple of Unit: with points in their reference frames. Soft units are their points at rest; where a scene does not say how stiff

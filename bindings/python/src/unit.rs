@@ -426,3 +426,25 @@ pub(crate) fn role_name(role: Role) -> &'static str {
         _ => "free",
     }
 }
+
+/// A contact law as Python has it; None: contacts are rigid. Its number is checked where it goes.
+pub(crate) fn law_of(given: Option<(f32, String)>) -> PyResult<core::ContactLaw> {
+    let Some((restitution_offset, friction)) = given else { return Ok(core::ContactLaw::RIGID) };
+    let friction = match friction.as_str() {
+        "cone" => core::FrictionLimit::Cone,
+        "pyramid" => core::FrictionLimit::Pyramid,
+        _ => return Err(input(format!("there is no friction {friction:?}; give cone or pyramid"))),
+    };
+    Ok(core::ContactLaw { restitution_offset, friction })
+}
+
+/// A contact law as Python has it.
+pub(crate) fn law_pair(law: &core::ContactLaw) -> (f32, &'static str) {
+    let pyramid = law.friction == core::FrictionLimit::Pyramid;
+    (law.restitution_offset, if pyramid { "pyramid" } else { "cone" })
+}
+
+/// As [`law_pair`]; None: contacts are rigid.
+pub(crate) fn law(law: &core::ContactLaw) -> Option<(f32, &'static str)> {
+    (!law.is_rigid()).then(|| law_pair(law))
+}

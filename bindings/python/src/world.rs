@@ -24,7 +24,9 @@ use crate::futures::{Start, VELOCITY};
 use crate::interrupt::{TICK, free, held};
 use crate::locked::Locked;
 use crate::model::Model;
-use crate::unit::{Plane, Unit, array_of_vector, planes, planes_of, role_name, role_of};
+use crate::unit::{
+    Plane, Unit, array_of_vector, law, law_of, planes, planes_of, role_name, role_of,
+};
 use crate::whole;
 
 /// A scene that moves: units, planes, gravity and a time step, and the model that advances them.
@@ -1336,7 +1338,21 @@ impl World {
         Ok(())
     }
 
-    /// Whether the network corrects motion; False: units move as they do without it, and contacts are rigid.
+    /// tuple of float and str, or None: how contacts that bounce differ from rigid ones. What is added to the restitution of each pair,
+    /// from 0 to 1, and where friction is limited, "cone" or "pyramid"; PyBullet's is (0.03, "pyramid"). None: contacts are rigid, as
+    /// they are until it is set.
+    #[getter]
+    fn contact_law(&self, py: Python<'_>) -> PyResult<Option<(f32, &'static str)>> {
+        Ok(law(&self.lock(py)?.simulator().contact_law()))
+    }
+
+    #[setter]
+    fn set_contact_law(&self, py: Python<'_>, given: Option<(f32, String)>) -> PyResult<()> {
+        let law = law_of(given)?;
+        self.lock(py)?.set_contact_law(law).or_raise()
+    }
+
+    /// Whether the network corrects motion; False: units move as they do without it.
     #[getter]
     fn network(&self, py: Python<'_>) -> PyResult<bool> {
         Ok(self.lock(py)?.simulator().has_network())

@@ -210,6 +210,7 @@ def sound_calls(nano, scene, folder, random):
         "World.planes": (setting(world, "planes"), {"value": [plane]}),
         "World.quarantine": (setting(world, "quarantine"), {"value": True}),
         "World.network": (setting(world, "network"), {"value": False}),
+        "World.contact_law": (setting(world, "contact_law"), {"value": (0.03, "pyramid")}),
         "Dataset": (rf.Dataset, {"path": folder / "saved.safetensors"}),
         "Dataset.from_bytes": (
             rf.Dataset.from_bytes, {"data": (folder / "saved.safetensors").read_bytes(), "name": "mine"}
@@ -219,7 +220,7 @@ def sound_calls(nano, scene, folder, random):
         "Dataset.scenes_of": (rf.Dataset.embedded().scenes_of, {"split": "test"}),
         "Scene": (rf.Scene, {
             "units": [unit, unit], "poses": np.stack([poses] * 4), "frame_rate_hz": 60.0, "gravity_m_s2": np.ones(3, f32),
-            "planes": [plane], "commands": None, "soft_points": None, "bonds": [(0, 1, None)], "name": "s", "seed": 1,
+            "contact_law": (0.03, "cone"), "planes": [plane], "commands": None, "soft_points": None, "bonds": [(0, 1, None)], "name": "s", "seed": 1,
             "split": "test",
         }),
         "Scene.points": (scene.points, {"frame": 1}),
@@ -233,7 +234,7 @@ def sound_calls(nano, scene, folder, random):
         "Trajectory.errors": (trajectory.errors, {"scene": scene, "frame": 20}),
         "Start": (rf.Start, {
             "dt_s": 0.04, "units": [unit, unit], "previous": poses, "current": poses, "command": None, "planes": [plane],
-            "gravity_m_s2": np.ones(3, f32), "state": None,
+            "gravity_m_s2": np.ones(3, f32), "contact_law": (0.03, "cone"), "state": None,
         }),
         "Start.of_scene": (rf.Start.of_scene, {"scene": scene, "step": 10, "frame": 10, "join": False}),
         "VelocityNoise": (rf.VelocityNoise, {"seed": 1, "linear_m_s": 0.1, "angular_rad_s": 0.1}),

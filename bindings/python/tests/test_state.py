@@ -114,14 +114,48 @@ def test_copies_go_on_by_themselves():
     world = rigid("edge")
     world.quarantine = True
     world.network = False
+    world.contact_law = 0.25, "pyramid"
     others = [world.copy(), copy.copy(world), copy.deepcopy({"of": world})["of"], pickle.loads(pickle.dumps(world))]
     then = world.snapshot()
     first = world.rollout(30)
     for other in others:
         assert other.ids == world.ids and other.snapshot() == then and other.quarantine and not other.network
+        assert other.contact_law == (0.25, "pyramid")
         assert (other.rollout(30) == first).all()
         other.remove(other.ids[0])
     assert len(world) == 3
+
+
+def test_a_contact_law_is_of_the_scene(tmp_path):
+    scene = rf.Dataset.embedded().scene(0)
+    assert scene.contact_law is None
+    path = tmp_path / "lawful.safetensors"
+    more = dict(gravity_m_s2=scene.gravity_m_s2, planes=scene.planes)
+    lawful = rf.Scene(scene.units, scene.poses, scene.frame_rate_hz, contact_law=(0.25, "pyramid"), **more)
+    lawful.save(path, dataset="d", provenance="p", licence="l")
+    read = rf.Dataset(path).scene(0)
+    assert read.contact_law == lawful.contact_law == pickle.loads(pickle.dumps(lawful)).contact_law == (0.25, "pyramid")
+    model = rf.Model("edge")
+    last = dict(step=10, last_frame=100)
+    plain, other = (rf.rollout(model, each, **last).poses for each in (scene, read))
+    assert (plain != other).any()
+
+    world = rf.World(model)
+    world.gravity_m_s2, world.planes = scene.gravity_m_s2, scene.planes
+    assert world.contact_law is None
+    world.contact_law = read.contact_law
+    world.observe_poses(10 / scene.frame_rate_hz, scene.units, scene.poses[0], scene.poses[10])
+    assert (world.rollout(9) == other[2:]).all()
+    for wrong in ((-0.1, "cone"), (1.5, "cone"), (float("nan"), "cone"), (0.1, "ball")):
+        with pytest.raises(rf.InputError):
+            world.contact_law = wrong
+        with pytest.raises(rf.InputError):
+            rf.Scene(scene.units, scene.poses, scene.frame_rate_hz, contact_law=wrong, **more)
+    assert world.contact_law == (0.25, "pyramid")
+    world.contact_law = None
+    assert world.contact_law is None
+    batch = rf.BatchSimulator(model)
+    assert (batch.run(rf.Start.of_scene(read), 1, 9).poses[0] == other[2:]).all()
 
 
 def test_worlds_of_one_model_are_pickled_with_one():
@@ -283,14 +317,14 @@ def values() -> dict:
     pivot = rf.Pivot(1, 0, [0.1, 0.2, 0.3], [0.4, 0.5, 0.6], 0.25)
     joined = rf.Start(
         0.1, [rf.Unit(cube(0.1), body=1)] * 2, [at(), at(0.2)], [at(), at(0.2)], pivots=[pivot],
-        planes=[rf.Plane([0, 0, 1])], gravity_m_s2=[0, 0, -1],
+        planes=[rf.Plane([0, 0, 1])], gravity_m_s2=[0, 0, -1], contact_law=(0.25, "pyramid"),
     )
     world = joints()
     futures = rf.BatchSimulator(rf.Model("nano")).run(rf.Start.of_scene(scene), 3, 2)
     patch = cube()
     frames = np.tile(at(z=1), (3, 1, 1))
     cloth = rf.Scene([soft_unit], frames, 60, soft_points=np.tile(patch, (3, 1, 1)), planes=[])
-    walk = rf.Scene([hollow], frames, 60, commands=np.ones((3, 2)), name="walk", seed=-4, split="train")
+    walk = rf.Scene([hollow], frames, 60, commands=np.ones((3, 2)), name="walk", seed=-4, split="train", contact_law=(0.25, "cone"))
     simulator = rf.BatchSimulator(rf.Model("nano"))
     thrown = rf.Start(1 / 24, [rf.Unit(cube())], [at(z=1)], [at(z=1)])
     few = dict(method=rf.Cem(0.5), futures=8, iterations=1)

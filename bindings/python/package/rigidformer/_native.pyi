@@ -70,6 +70,7 @@ _Which = Union[npt.NDArray[np.bool_], npt.NDArray[np.integer[Any]], Sequence[int
 _Arguments = tuple[tuple[Any, ...], dict[str, Any]]
 # Ids of two units.
 _Pair = Union[tuple[int, int], Sequence[int]]
+_ContactLaw = tuple[float, Literal["cone", "pyramid"]]
 _Split = Literal["train", "validation", "test", "extra"]
 
 @final
@@ -306,6 +307,10 @@ class World:
     def network(self) -> bool: ...
     @network.setter
     def network(self, value: bool, /) -> None: ...
+    @property
+    def contact_law(self) -> Optional[_ContactLaw]: ...
+    @contact_law.setter
+    def contact_law(self, value: Optional[_ContactLaw], /) -> None: ...
     def __bool__(self, /) -> bool: ...
     def __len__(self, /) -> int: ...
     def __copy__(self, /) -> World: ...
@@ -340,6 +345,7 @@ class Scene:
         frame_rate_hz: float,
         *,
         gravity_m_s2: Optional[_Numbers] = None,
+        contact_law: Optional[_ContactLaw] = None,
         planes: Optional[Sequence[Plane]] = None,
         commands: Optional[_Numbers] = None,
         soft_points: Optional[_Numbers] = None,
@@ -358,6 +364,8 @@ class Scene:
     def frame_rate_hz(self) -> float: ...
     @property
     def gravity_m_s2(self) -> _Floats: ...
+    @property
+    def contact_law(self) -> Optional[_ContactLaw]: ...
     @property
     def units(self) -> tuple[Unit, ...]: ...
     @property
@@ -415,6 +423,7 @@ class Start:
         command: Optional[_Numbers] = None,
         planes: Optional[Sequence[Plane]] = None,
         plane_compliance: Sequence[tuple[float, float]] = ...,
+        contact_law: Optional[_ContactLaw] = None,
         gravity_m_s2: Optional[_Numbers] = None,
         pivots: Sequence[Pivot] = ...,
         state: Optional[tuple[bytes, int, int]] = None,

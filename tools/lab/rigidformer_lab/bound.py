@@ -98,7 +98,7 @@ def rolled_out(rigidformer, model, scene, step, correction, frame, network):
     poses = np.asarray(scene.poses)
     if scene.planes is not None:
         world.planes = scene.planes
-    world.gravity_m_s2 = scene.gravity_m_s2
+    world.gravity_m_s2, world.contact_law = scene.gravity_m_s2, scene.contact_law
     world.observe_poses(step / scene.frame_rate_hz, scene.units, poses[0], poses[step])
     turn = Rotation.from_quat(poses[step][:, [4, 5, 6, 3]])
     offsets = turn.inv().apply(world.centres() - poses[step][:, :3])

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .movi import CONTACT_LAW as CONTACT_LAW  # with the settings of `engine`
 from .movi import _terminate, generate
 from .scenes import Scenes, SceneFileError
 

@@ -26,7 +26,7 @@ MAX_DIRECTIONS = 32
 MAX_POINT_HIDDEN = 2
 
 #: Fields that older files lack.
-OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic", "bonds", "scope", "law", "most_units")
+OPTIONAL = ("point_hidden", "fuse_hidden", "length_m", "longest_step", "directions", "elastic", "bonds", "scope", "most_units")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,18 +50,6 @@ class Elastic:
         for name, (low, high) in ranges.items():
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"elastic: {name} is {getattr(self, name)}; give a number from {low} to {high}")
-
-
-@dataclasses.dataclass(frozen=True)
-class ContactLaw:
-    """How the contacts of the records that a model learns from differ from rigid ones (docs/CONTACT.md)."""
-
-    restitution_offset: float = 0.0  # is added to the restitution of each pair that bounces
-    pyramid: bool = False  # contacts that bounce have a pyramid of friction along their sliding, and not a cone
-
-    def __post_init__(self):
-        if not 0 <= self.restitution_offset <= 1:
-            raise ValueError(f"law: restitution_offset is {self.restitution_offset}; give a number from 0 to 1")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,18 +98,15 @@ class ModelConfig:
     #: of them within the step
     scope: str = "all"
 
-    law: ContactLaw | None = None  # of the impulses, with motion "impulses" alone; None: rigid contact
-    most_units: int = 0  # scenes of more units move by impulses alone, and without the law, with motion "impulses" alone; 0: none do
+    most_units: int = 0  # scenes of more units move by impulses alone, with motion "impulses" alone; 0: none do
 
     def __post_init__(self):
         # Older files have other names.
         object.__setattr__(self, "motion", {"carried": "robot", "elastic": "soft"}.get(self.motion, self.motion))
         if isinstance(self.elastic, dict):
             object.__setattr__(self, "elastic", Elastic(**self.elastic))
-        if isinstance(self.law, dict):
-            object.__setattr__(self, "law", ContactLaw(**self.law))
-        if (self.law or self.most_units) and (self.motion != "impulses" or self.bonds):
-            raise ValueError('law and most_units go with motion "impulses", without bonds')
+        if self.most_units and (self.motion != "impulses" or self.bonds):
+            raise ValueError('most_units goes with motion "impulses", without bonds')
         if not (self.motion == "soft") == (self.features == "soft") == (self.elastic is not None):
             raise ValueError('motion "soft", features "soft" and `elastic` go together; give all three or none')
         if self.motion == "soft" and (self.length_m or self.longest_step or self.gate):
@@ -172,6 +157,8 @@ class ModelConfig:
     @staticmethod
     def from_json(text: str) -> "ModelConfig":
         raw = json.loads(text)
+        if raw.pop("law", None):  # older files may say that there is none
+            raise ValueError("law: contact laws are those of scenes (`Scenes.contact_law`), not of models; leave it out")
         raw["gravity_m_s2"] = tuple(raw["gravity_m_s2"])
         raw["scales"] = tuple(sorted(raw["scales"]))
         raw["point_hidden"] = tuple(raw.get("point_hidden", ()))

@@ -44,7 +44,7 @@ from . import bullet, far, mujoco_engine, pushing
 from .movi import FRAME_RATE_HZ, GRAVITY_M_S2, PRIMITIVE_SUB_STEPS, Shape, _offsets, _rotation, primitive_shapes
 from .pushing import Body, Part, Swing, _about_z, _create, _quaternion
 from .roles import DRIVEN, FIXED, FREE
-from .scenes import EXTRA, Scenes, split_of_seed
+from .scenes import EXTRA, ContactLaw, Scenes, split_of_seed
 
 DATASET = "contacts"
 KINDS = ("table", "ramp", "wall", "steps", "stack", "slide", "roll", "pusher", "heap", "toss")
@@ -427,6 +427,7 @@ class Recipe:
             licence="the licence of the rigidformer project",
             frame_rate_hz=rate_of(self.size),
             gravity_m_s2=GRAVITY_M_S2,
+            contact_law=bullet.CONTACT_LAW if self.engine == "bullet" else ContactLaw(),
             ground_friction=None,
             ground_restitution=None,
             planes=planes.astype(np.float32),

@@ -49,11 +49,12 @@ class Units:
 
 @dataclasses.dataclass
 class Worlds:
-    """Frame rate, gravity, planes and commands of each loaded scene."""
+    """Frame rate, gravity, contact law, planes and commands of each loaded scene."""
 
     frames: np.ndarray  # (S,) recorded; the arrays of units go on with the last one
     rate: np.ndarray  # (S,) frames a second
     gravity: np.ndarray  # (S, 3) m/s^2
+    law: np.ndarray  # (S, 2) restitution offset, and 1 for a pyramid of friction
     planes: np.ndarray  # (S, MAX_PLANES, 6)
     plane_count: np.ndarray  # (S,)
     commands: np.ndarray | None  # (S, T, C)
@@ -78,7 +79,7 @@ class Dataset:
         self.piece_start, self.piece_count, piece_bank, piece_ball, radii = [], [], [], [], []
         self.hull_start, self.hull_count, hull_bank, extent, box, inertia, ball = [], [], [], [], [], [], []
         shapes, scales, physics, poses, self.first_unit, self.part = [], [], [], [], [0], []
-        roles, bodies, frames, rates, gravities, planes, commands = [], [], [], [], [], [], []
+        roles, bodies, frames, rates, gravities, laws, planes, commands = [], [], [], [], [], [], [], []
         self.seed, set_points, bonds = [], [], []
         for part, path in enumerate(paths):
             file = read_scenes(path)
@@ -143,6 +144,7 @@ class Dataset:
                 frames.append(cut.stop - cut.start)
                 rates.append(file.frame_rate_hz)
                 gravities.append(file.gravity_m_s2)
+                laws.append((file.contact_law.restitution_offset, file.contact_law.pyramid))
                 planes.append(file.planes_of_scene(s))
                 commands.append(None if file.commands is None else _lengthened(file.commands[s, cut], length, 0))
                 self.first_unit.append(self.first_unit[-1] + int(high - low))
@@ -182,7 +184,7 @@ class Dataset:
             raise SystemExit(f"{', '.join(map(str, paths))}: their command_last differ; train on files whose commands have the same set "
                              "points")
         self.worlds = Worlds(
-            np.array(frames), np.array(rates), np.array(gravities), padded, count,
+            np.array(frames), np.array(rates), np.array(gravities), np.array(laws, np.float64), padded, count,
             np.stack(commands) if self.command_size else None, set_points[0],
         )  # fmt: skip
         radius, ball = far[shape] * scale, np.array(ball)[shape]
@@ -506,6 +508,7 @@ class Dataset:
             frame_rate=f32(world.rate[scene]), role=put(role.astype(np.int64)) if role.any() else None,
             body=put(body.astype(np.int64)) if (body != OWN_BODY).any() else None,
             planes=planes_of(f32(planes[:, :widest]), put(used)), gravity=f32(gravity),
+            law=f32(world.law[scene]) if world.law[scene].any() else None,
             commands=None if commands is None else f32(commands), typical=f32(self.typical[scene]),
             pace=(f32(way), f32(spin)), joints=joints, bonds=bonds, clusters=clusters,
         )  # fmt: skip

@@ -69,6 +69,7 @@ class Scene:
     body: torch.Tensor | None = None  # (B, M) units of one body share a number, -1: of its own; None: all their own
     planes: Planes | None = None  # None: z = 0 with the model's friction and restitution
     gravity: torch.Tensor | None = None  # (B, 3) m/s^2; None: the model's
+    law: torch.Tensor | None = None  # (B, 2) contact law: restitution offset, and 1 for a pyramid of friction; None: all are rigid
     commands: torch.Tensor | None = None  # (B, T - 1, command_size) of the steps of a recorded window of T frames
     typical: torch.Tensor | None = None  # (B, 2) as `typical` says, of units that are not all here; None: of those here
     length: torch.Tensor | None = None  # (B,) metres that stand for one, where the scene is measured in its own length
@@ -741,7 +742,7 @@ class RigidFormer(nn.Module):
             return None
         scene, state = self.entered(scene, state)
         rotation, centre, before_rotation, before_centre, touched, share, met = solve(
-            scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene), self.config.law, self.corrects(scene)
+            scene, state, self.planes(scene), self.gravity_of(scene), self.dt(scene)
         )
         turn, shift = state.rotation @ state.rotation.detach().transpose(-1, -2), state.centre - state.centre.detach()
         turn = turn - turn.detach()  # zeros, and a gradient

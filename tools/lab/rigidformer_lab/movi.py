@@ -28,12 +28,14 @@ import numpy as np
 
 from . import far
 from .pieces import file_pieces, read_pieces
-from .scenes import MOVI_SEEDS, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
+from .scenes import MOVI_SEEDS, ContactLaw, Scenes, SceneFileError, concatenate, read_scenes, split_of_seed, write_scenes
 
 FRAME_RATE_HZ = 240
 GRAVITY_M_S2 = (0.0, 0.0, -10.0)
 GROUND_FRICTION = 0.3
 GROUND_RESTITUTION = 0.5
+#: How contacts that bounce differ from rigid ones in PyBullet with the settings below (docs/CONTACT.md).
+CONTACT_LAW = ContactLaw(0.03, pyramid=True)
 SEEDS_PER_SHARD = 50
 PLACEMENT_TRIALS = 100
 SPAWN_REGION_M = np.array([(-5, -5, 1), (5, 5, 5)], np.float32)
@@ -384,6 +386,7 @@ def make_scenes(recipe: Recipe, seeds: range) -> Scenes:
         licence=licence,
         frame_rate_hz=FRAME_RATE_HZ,
         gravity_m_s2=GRAVITY_M_S2,
+        contact_law=CONTACT_LAW,
         ground_friction=GROUND_FRICTION,
         ground_restitution=GROUND_RESTITUTION,
     )

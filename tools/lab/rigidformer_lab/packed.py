@@ -67,9 +67,9 @@ def opened(path) -> tuple[Cursor, bytes]:
         cursor.at += 4
     if version > 6:  # bonds
         cursor.varint()
-    if has_rules:  # scope, restitution offset, shape of friction, most units
-        cursor.at += 1 + 4
-        cursor.varint(), cursor.varint()
+    if has_rules:  # scope, five bytes that are kept free, most units
+        cursor.at += 1 + 5
+        cursor.varint()
     if ranged:  # what training saw
         cursor.at += RANGES
     return cursor, payload

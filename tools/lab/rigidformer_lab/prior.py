@@ -53,10 +53,9 @@ def _solved(job):
     return moving.rotation, moving.centre, before, earlier, touched, share, (world, *meetings(contacts[0], count))
 
 
-def solve(scene, state, planes, gravity, dt, law=None, lawful=None):
+def solve(scene, state, planes, gravity, dt):
     """(B, M, ...): rotation, centre, rotation before, centre before, whether they are not those of free motion, share
-    (section 6), and what `kept_apart` takes; no gradient. law: `ContactLaw` of the impulses in
-    the scenes that are `lawful` (B,), None: in all; None: rigid contact."""
+    (section 6), and what `kept_apart` takes; no gradient."""
     array = lambda t, kind=np.float64: np.ascontiguousarray(t.detach().cpu().numpy().astype(kind))  # noqa: E731
     mask = array(scene.mask, bool)
     role = np.zeros(mask.shape, np.int64) if scene.role is None else array(scene.role, np.int64)
@@ -77,8 +76,7 @@ def solve(scene, state, planes, gravity, dt, law=None, lawful=None):
     ground = np.concatenate(
         (array(planes.normal), *(array(v)[..., None] for v in (planes.offset, planes.friction, planes.restitution))), -1
     )
-    law = np.zeros(2) if law is None else np.array([law.restitution_offset, law.pyramid], np.float64)
-    lawful = np.ones(len(mask), bool) if lawful is None else array(lawful, bool)
+    law = np.zeros((len(mask), 2)) if scene.law is None else array(scene.law)
     lead = None if scene.lead is None else array(scene.lead, np.int64)
     valid, gravity, dt = array(planes.valid, bool), array(gravity), array(dt)
     square = extent**2
@@ -103,7 +101,7 @@ def solve(scene, state, planes, gravity, dt, law=None, lawful=None):
         world = World(
             free, group[b][m], np.where(free, 1 / mass, 0.0), moment[b][m], physics[b][m, 1], physics[b][m, 2],
             radius[b][m], start[b][m], count[b][m], scale[b][m], bank, *in_pieces(b, m), np.where(ball, radius, 0.0)[b][m], ground[b][valid[b]], gravity[b],
-            np.arange(m.sum()) if lead is None else (np.cumsum(m) - 1)[lead[b][m]], law * lawful[b],
+            np.arange(m.sum()) if lead is None else (np.cumsum(m) - 1)[lead[b][m]], law[b],
         )  # fmt: skip
         world = World(*(np.ascontiguousarray(v) for v in world))
         pick = lambda pair, b=b, m=m: tuple(v[b][m] for v in pair)  # noqa: E731

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from . import far
-from .movi import (FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS,
+from .movi import (CONTACT_LAW, FRAME_RATE_HZ, GRAVITY_M_S2, GROUND_FRICTION, GROUND_RESTITUTION, MATERIALS, PRIMITIVE_SUB_STEPS,
                    Shape, _offsets, _primitive_collision, _rotation, _terminate, generate, primitive_shapes, shards_of)
 from .roles import DRIVEN, FIXED, FREE, OWN_BODY
 from .scenes import Scenes, SceneFileError, split_of_seed
@@ -122,6 +122,7 @@ class Recipe:
             licence="the licence of the rigidformer project",
             frame_rate_hz=FRAME_RATE_HZ,
             gravity_m_s2=GRAVITY_M_S2,
+            contact_law=CONTACT_LAW,
             ground_friction=None,
             ground_restitution=None,
             planes=np.concatenate([scene.planes for scene in made]).astype(np.float32),

@@ -2,7 +2,8 @@
 
 Metadata (all strings)
     format="rigidformer-scenes", version="1" or "2", dataset, frame_rate_hz, gravity_m_s2 ("x y z"), shape_names (a JSON
-    list), provenance, licence; in version 1 ground_friction and ground_restitution of the plane z = 0.
+    list), provenance, licence; in version 1 ground_friction and ground_restitution of the plane z = 0. contact_law, how contacts that
+    bounce differ from rigid ones: a number from 0 to 1, and ",pyramid" behind it or not; absent: not at all.
 
 Tensors (P points, K shapes, S scenes, U units, F frames)
     shape_points   F32 (P, 3)     points of all shapes, body frame at scale 1, metres, file order
@@ -137,6 +138,30 @@ _METADATA = (
 )
 
 
+@dataclass(frozen=True)
+class ContactLaw:
+    """How contacts that bounce differ from rigid ones in what recorded scenes (docs/CONTACT.md); as it is: not at all."""
+
+    restitution_offset: float = 0.0  # is added to the restitution of each pair that bounces, from 0 to 1
+    pyramid: bool = False  # friction of contacts that bounce has a pyramid along their sliding, and not a cone
+
+    def __str__(self) -> str:
+        """As files have it."""
+        return _number(self.restitution_offset) + ",pyramid" * self.pyramid
+
+    @staticmethod
+    def of(text: str) -> "ContactLaw":
+        """The law that a file has as such a text; ValueError where it is none."""
+        offset, comma, shape = text.partition(",")
+        if comma and shape != "pyramid":
+            raise ValueError(f"{shape!r} is no shape of friction")
+        if offset != offset.strip() or "_" in offset:
+            raise ValueError(f"{offset!r} is no number")
+        if not 0 <= float(offset) <= 1:
+            raise ValueError(f"{offset} is not from 0 to 1")
+        return ContactLaw(float(offset), bool(comma))
+
+
 class SceneFileError(ValueError):
     """A scene file that cannot be used. The message names the file, the field and the remedy."""
 
@@ -168,6 +193,7 @@ class Scenes:
     licence: str
     frame_rate_hz: float = 240.0
     gravity_m_s2: tuple[float, float, float] = field(default=(0.0, 0.0, -10.0))
+    contact_law: ContactLaw = ContactLaw()
     ground_friction: float | None = 0.3  # of the plane z = 0, where `planes` is None
     ground_restitution: float | None = 0.5
     planes: np.ndarray | None = None  # (N, 6); None: z = 0 for every scene
@@ -352,6 +378,8 @@ def write_scenes(path, scenes: Scenes) -> None:
     }
     if version == "1":
         metadata |= {"ground_friction": _number(friction), "ground_restitution": _number(restitution)}
+    if scenes.contact_law != ContactLaw():
+        metadata["contact_law"] = str(scenes.contact_law)
     metadata |= {
         "shape_names": json.dumps(list(scenes.shape_names)),
         "provenance": scenes.provenance,
@@ -429,6 +457,11 @@ def read_scenes(path) -> Scenes:
         if len(numbers[name]) != (3 if name == "gravity_m_s2" else 1):
             raise SceneFileError(path, f"metadata {name}", f"is {metadata[name]!r}, which does not parse", remake)
     try:
+        law = ContactLaw.of(metadata.get("contact_law", "0"))
+    except ValueError:
+        raise SceneFileError(path, "metadata contact_law", f"is {metadata['contact_law']!r}, not a number from 0 to 1 with ',pyramid' "
+                             "behind it or without", remake) from None
+    try:
         shape_names = json.loads(metadata["shape_names"])
     except json.JSONDecodeError:
         shape_names = None
@@ -442,6 +475,7 @@ def read_scenes(path) -> Scenes:
         licence=metadata["licence"],
         frame_rate_hz=numbers["frame_rate_hz"][0],
         gravity_m_s2=tuple(numbers["gravity_m_s2"]),
+        contact_law=law,
         ground_friction=numbers["ground_friction"][0],
         ground_restitution=numbers["ground_restitution"][0],
         **arrays,
@@ -458,8 +492,8 @@ def commands_of_steps(commands: np.ndarray, step: int, last: np.ndarray | None) 
 
 
 def concatenate(parts: list[Scenes]) -> Scenes:
-    """One data set from parts of it, in the given order. All parts share their number of frames, their frame rate and
-    gravity, whether they have commands and velocities, and which commands are set points. Parts that do not have the same
+    """One data set from parts of it, in the given order. All parts share their number of frames, their frame rate,
+    gravity and contact law, whether they have commands and velocities, and which commands are set points. Parts that do not have the same
     shapes keep theirs, and must have no pieces."""
     first = parts[0]
     if any(part.planes is not None for part in parts):
@@ -472,6 +506,8 @@ def concatenate(parts: list[Scenes]) -> Scenes:
     join |= _join_lists(parts) | _join_shapes(parts)
     if any(not np.array_equal(part.command_last, first.command_last) for part in parts if part is not first):
         raise ValueError("command_last: parts have other set points; give all the same")
+    if any(part.contact_law != first.contact_law for part in parts):
+        raise ValueError("contact_law: parts have other laws; give all the same")
     for name in ("scene_units", "scene_planes"):
         values = [getattr(part, name) for part in parts]
         if values[0] is not None:
@@ -604,6 +640,8 @@ def _check(path, scenes: Scenes, remedy: str) -> None:
             fail(name, f"is {value}")
     if len(scenes.gravity_m_s2) != 3 or not all(map(math.isfinite, scenes.gravity_m_s2)):
         fail("gravity_m_s2", f"is {scenes.gravity_m_s2}, not three finite numbers")
+    if not 0 <= scenes.contact_law.restitution_offset <= 1:
+        fail("contact_law", f"has a restitution_offset of {scenes.contact_law.restitution_offset}, not one from 0 to 1")
     _check_version_2(scenes, fail, shape)
 
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from rigidformer_lab import contacts, movi, mujoco_engine
+from rigidformer_lab import bullet, contacts, movi, mujoco_engine
 from rigidformer_lab.contacts import KINDS, Recipe
 from rigidformer_lab.geometry import quaternion_to_matrix
 from rigidformer_lab.roles import DRIVEN, FIXED, FREE
-from rigidformer_lab.scenes import EXTRA, read_scenes, write_scenes
+from rigidformer_lab.scenes import EXTRA, ContactLaw, read_scenes, write_scenes
 
 FRAMES = 90
 
@@ -100,6 +100,7 @@ def test_mujoco_records_the_same_scenes_by_another_law(tmp_path):
     ours, theirs = (Recipe(3, 3, 60, 0.6, ("toss",), engine).make(range(3, 6)) for engine in ("bullet", "mujoco"))
     assert ours.dataset == "contacts" and theirs.dataset == "contacts-mujoco" and "MuJoCo" in theirs.provenance
     assert (theirs.scene_split == EXTRA).all()
+    assert ours.contact_law == bullet.CONTACT_LAW and theirs.contact_law == ContactLaw()
     write_scenes(tmp_path / "x", theirs)
     assert (theirs.unit_physics == ours.unit_physics).all() and (theirs.unit_inertia == ours.unit_inertia).all()
     apart = np.linalg.norm(ours.unit_poses[:, :, :3] - theirs.unit_poses[:, :, :3], axis=2)

@@ -11,7 +11,7 @@ from rigidformer_lab.config import PRESETS
 from rigidformer_lab.data import Dataset, commanded, state_at
 from rigidformer_lab.model import RigidFormer, transform
 from rigidformer_lab.roles import DRIVEN, FREE
-from rigidformer_lab.scenes import write_scenes
+from rigidformer_lab.scenes import ContactLaw, read_scenes, write_scenes
 from rigidformer_lab.train import TURN_M, displaced, window_loss
 
 HORIZON = 2
@@ -36,6 +36,30 @@ def load(files, *names):
     dataset = Dataset([files / name for name in names], [0], last_frame=110)
     dataset.refresh_subsets(16)
     return dataset
+
+
+def test_scenes_have_the_law_of_their_file(files, tmp_path):
+    """A data set of two files, with a contact law and without, has the motion by impulses of each."""
+    falls = dataclasses.replace(read_scenes(files / "plain"), contact_law=ContactLaw(0.2, pyramid=True))
+    write_scenes(tmp_path / "lawful", falls)
+    write_scenes(tmp_path / "rigid", dataclasses.replace(falls, contact_law=ContactLaw()))
+    model = RigidFormer(PRESETS["tiny-impulses"]).initialise()
+
+    def priors(names, windows):
+        dataset = Dataset([tmp_path / name for name in names], [0], last_frame=110)
+        dataset.refresh_subsets(16)
+        dataset.rng = np.random.default_rng(3)
+        scene, rotation, centre, _ = batch(dataset, windows)
+        return scene.law, model.prior(scene, state_at(rotation, centre, 1)).centre
+
+    # In so many frames something bounces.
+    of_first, of_second = [(0, k, 10) for k in range(60, 90, 10)], [(3, k, 10) for k in range(60, 90, 10)]
+    law, mixed = priors(["lawful", "rigid"], of_first + of_second)
+    assert law.shape == (6, 2) and torch.equal(law, torch.tensor([[0.2, 1.0]] * 3 + [[0.0, 0.0]] * 3))
+    lawful, rigid = priors(["lawful"], of_first), priors(["rigid"], of_first)
+    assert rigid[0] is None and not torch.allclose(lawful[1], rigid[1])
+    torch.testing.assert_close(mixed[:3], lawful[1], rtol=0, atol=1e-5)
+    torch.testing.assert_close(mixed[3:], rigid[1], rtol=0, atol=1e-5)
 
 
 def batch(dataset, windows, augment=False):

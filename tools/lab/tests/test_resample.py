@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rigidformer_lab import resample
-from rigidformer_lab.movi import Recipe, make_scenes
+from rigidformer_lab.movi import CONTACT_LAW, Recipe, make_scenes
 from rigidformer_lab.scenes import read_scenes, write_scenes
 
 CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
@@ -40,6 +40,7 @@ def test_the_rest_of_the_scenes_stays(tmp_path):
     kept = read_scenes(out)
     assert np.array_equal(kept.unit_poses, scenes.unit_poses)
     assert np.array_equal(kept.scene_seed, scenes.scene_seed)
+    assert kept.contact_law == scenes.contact_law == CONTACT_LAW
     for k in range(len(scenes.shape_names)):
         before, after = scenes.points_of_shape(k), kept.points_of_shape(k)
         assert len(after) == round(0.75 * len(before))

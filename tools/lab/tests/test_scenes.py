@@ -16,7 +16,7 @@ import pytest
 from rigidformer_lab import movi
 from rigidformer_lab.movi import Recipe, make_scenes, primitive_shapes, simulate
 from rigidformer_lab.research import check_movi
-from rigidformer_lab.scenes import (EXTRA, TEST, TRAIN, VALIDATION, SceneFileError, concatenate, read_scenes,
+from rigidformer_lab.scenes import (EXTRA, TEST, TRAIN, VALIDATION, ContactLaw, SceneFileError, concatenate, read_scenes,
                                     split_of_seed, write_scenes)
 
 ARRAYS = ("shape_points", "shape_offsets", "scene_seed", "scene_split", "scene_units", "unit_shape", "unit_scale",
@@ -147,6 +147,8 @@ def _edit_header(path, edit):
     ("metadata licence", lambda h: h["__metadata__"].pop("licence")),
     ("metadata gravity_m_s2", lambda h: h["__metadata__"].update(gravity_m_s2="0 -10")),
     ("metadata frame_rate_hz", lambda h: h["__metadata__"].update(frame_rate_hz="fast")),
+    *((f"metadata contact_law: is '{law}', not a number from 0 to 1", lambda h, law=law: h["__metadata__"].update(contact_law=law))
+      for law in ("", "0.1,", "0.1,cone", "nan", "inf", "-0.1", "1.5", " 0.1", "0.1,pyramid,")),
     ("metadata shape_names", lambda h: h["__metadata__"].update(shape_names="box")),
     ("tensor unit_scale", lambda h: h.update(unit_size=h.pop("unit_scale"))),
     ("tensor unit_shape", lambda h: h["unit_shape"].update(dtype="F32")),
@@ -159,6 +161,18 @@ def test_bad_files_name_the_field(tmp_path, primitives, message, edit):
         read_scenes(path)
     assert str(path) in str(caught.value)
     assert any(remedy in str(caught.value) for remedy in ("make the file again", "give a scene file"))
+
+
+def test_files_have_the_law_of_what_recorded_them(tmp_path, primitives):
+    path = tmp_path / "scenes.safetensors"
+    assert primitives.contact_law == movi.CONTACT_LAW == ContactLaw(0.03, pyramid=True) and str(movi.CONTACT_LAW) == "0.03,pyramid"
+    write_scenes(path, primitives)
+    assert b'"contact_law":"0.03,pyramid"' in path.read_bytes() and read_scenes(path).contact_law == movi.CONTACT_LAW
+    for law, text in ((ContactLaw(0.25), b'"0.25"'), (ContactLaw(0, pyramid=True), b'"0,pyramid"'), (ContactLaw(1.0), b'"1"')):
+        write_scenes(path, dataclasses.replace(primitives, contact_law=law))
+        assert b'"contact_law":' + text in path.read_bytes() and read_scenes(path).contact_law == law
+    write_scenes(path, dataclasses.replace(primitives, contact_law=ContactLaw()))
+    assert b"contact_law" not in path.read_bytes() and read_scenes(path).contact_law == ContactLaw()
 
 
 def test_missing_truncated_and_foreign_files(tmp_path, primitives):
@@ -297,6 +311,8 @@ def test_parts_with_planes_join(primitives, everything):
     with pytest.raises(ValueError, match="other set points"):
         concatenate([everything, dataclasses.replace(everything, command_last=None)])
     assert concatenate([everything, everything]).command_last.tolist() == [0, 1]
+    with pytest.raises(ValueError, match="contact_law"):
+        concatenate([everything, dataclasses.replace(everything, contact_law=ContactLaw())])
 
 
 def test_meshes_bonds_and_shapes_join(tmp_path, primitives, everything):
@@ -397,6 +413,8 @@ def test_meshes_bonds_and_shapes_join(tmp_path, primitives, everything):
     ("bond_frame", "", _spoil("bond_frame", lambda a: a[1:])),
     ("frame_rate_hz", "", lambda scenes: dataclasses.replace(scenes, frame_rate_hz=0.0)),
     ("gravity_m_s2", "", lambda scenes: dataclasses.replace(scenes, gravity_m_s2=(0.0, 0.0, float("inf")))),
+    *(("contact_law", "restitution_offset", lambda scenes, offset=offset: dataclasses.replace(scenes, contact_law=ContactLaw(offset)))
+      for offset in (-0.1, 1.5, float("nan"))),
 ])
 def test_unusable_scenes_of_version_2_are_not_written(tmp_path, everything, field, row, spoil):
     with pytest.raises(SceneFileError, match=f"{field}: .*{row}") as caught:

@@ -62,7 +62,7 @@ def open_loop(rigidformer, model, scene, record: Record, step: int, join: bool) 
     way = moves * (record.velocity[:, :3] * dt_s - record.gravity * (0.5 * dt_s * dt_s))
     previous = np.hstack((current[:, :3] - way, turned(current[:, 3:], -dt_s * moves * record.velocity[:, 3:])))
     world = rigidformer.World(model, units=max(64, len(current)), points=max(8192, 2 * sum(map(len, record.points))))
-    world.gravity_m_s2 = record.gravity.astype(np.float32)
+    world.gravity_m_s2, world.contact_law = record.gravity.astype(np.float32), scene.contact_law
     if scene.planes is not None:
         world.planes = scene.planes
     world.observe_poses(dt_s, scene.units, previous.astype(np.float32), current.astype(np.float32))

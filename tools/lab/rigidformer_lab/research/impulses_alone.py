@@ -72,7 +72,7 @@ class Record:
             np.cumsum(pieces) - pieces, pieces, np.concatenate([s["piece"] for s in local]),
             np.concatenate([s["around"] for s in local]), np.where(ball, radius, 0.0),
             np.ascontiguousarray(file.planes_of_scene(scene), np.float64), np.array(file.gravity_m_s2, np.float64),
-            np.arange(len(body)),
+            np.arange(len(body)), np.array([file.contact_law.restitution_offset, file.contact_law.pyramid], np.float64),
         )  # fmt: skip
         bonds = file.bonds_of_scene(scene).astype(np.int64)
         self.bonds, self.breaks = bonds[:, :2] - low, bonds[:, 2]

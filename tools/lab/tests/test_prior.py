@@ -1,6 +1,7 @@
 """The model that corrects motion by impulses, against that motion itself."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -53,6 +54,23 @@ def test_impulses_need_hulls():
     with pytest.raises(ValueError, match="hulls"):
         dataclasses.replace(PRESETS["tiny"], motion="impulses")
     assert ModelConfig.from_json(PRESETS["tiny-impulses"].to_json()).outputs == 6
+
+
+def test_models_have_no_contact_law():
+    older = json.loads(PRESETS["tiny-impulses"].to_json()) | {"law": None}
+    assert ModelConfig.from_json(json.dumps(older)) == PRESETS["tiny-impulses"]
+    with pytest.raises(ValueError, match="those of scenes"):
+        ModelConfig.from_json(json.dumps(older | {"law": {"restitution_offset": 0.03}}))
+
+
+def test_the_law_is_of_each_scene():
+    """Of boxes that fall on the ground one bounces higher: that whose scene has a law."""
+    scene, state = boxes([[0, 0, 0.201]], [[0, 0, -2]])
+    net = model()
+    rigid = net.prior(scene, state).centre[0, 0, 2]
+    law = lambda *numbers: dataclasses.replace(scene, law=torch.tensor([numbers], dtype=torch.float64))  # noqa: E731
+    assert net.prior(law(0.0, 0.0), state).centre[0, 0, 2] == rigid
+    assert net.prior(law(0.25, 0.0), state).centre[0, 0, 2] > rigid + 1e-3
 
 
 @pytest.mark.parametrize("step", [1, 5, 10])

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use rigidformer_core::{Compliance, Physics, Plane, Role};
+use rigidformer_core::{Compliance, ContactLaw, Physics, Plane, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{
     Dataset, Problem, RecordedBond, RecordedScene, RecordedUnit, SceneNotes, SoftMesh, Split,
@@ -300,6 +300,8 @@ fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
         .unwrap()
         .with_plane_compliance(vec![Compliance::RIGID, FOAM])
         .unwrap()
+        .with_contact_law("0.25,pyramid".parse().unwrap())
+        .unwrap()
         .with_commands(2, commands)
         .unwrap()
         .with_set_points(vec![false, true])
@@ -359,6 +361,7 @@ fn a_scene_with_everything_comes_back_unchanged() {
     assert_eq!((dataset.young_pa(), dataset.soft_points()), (Some((5e4, 4e5)), 10));
     assert_eq!((dataset.mesh_sizes(), dataset.bonds()), ([3, 2, 1], (3, 2)));
     assert_eq!(dataset.scene(0, None).unwrap().bonds(), bonds());
+    assert_eq!(dataset.contact_law(), everything().contact_law());
     assert!(dataset.planes_of(1).is_none() && dataset.ground().is_none());
 }
 
@@ -376,6 +379,8 @@ fn each_part_of_version_2_is_written_alone() {
             .unwrap()
     };
     assert_eq!(alone(with(unit(0.0, 4))), 1);
+    let law = ContactLaw { restitution_offset: 0.03, ..ContactLaw::RIGID };
+    assert_eq!(alone(with(unit(0.0, 4)).with_contact_law(law).unwrap()), 1);
     assert_eq!(alone(with(unit(0.0, 4).with_role(Role::Driven))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_body(0))), 2);
     assert_eq!(alone(with(unit(0.0, 4).with_soft(vec![vec![Point3::origin(); 4]; 12]))), 2);
@@ -821,6 +826,33 @@ fn compliance_is_in_its_range() {
     // New planes are rigid.
     let scene = everything().with_planes(vec![Plane::ground(0.3, 0.5)]).unwrap();
     assert!(scene.plane_compliance().is_empty());
+}
+
+#[test]
+fn contact_laws_out_of_range_are_refused() {
+    for law in [
+        "1.25,pyramid",
+        "-.25,pyramid",
+        "nan,,pyramid",
+        "0.25,pyramix",
+        "0.25;pyramid",
+        "0.25pyramid,",
+    ] {
+        let (field, found) = retold("0.25,pyramid", law);
+        assert!(field == "metadata contact_law" && matches!(found, Problem::Unparsable { .. }));
+        assert!(found.to_string().contains("a number from 0 to 1"), "{found}");
+    }
+    for restitution_offset in [-0.1, 1.5, f32::NAN] {
+        let law = ContactLaw { restitution_offset, ..ContactLaw::RIGID };
+        let found = everything().with_contact_law(law).unwrap_err();
+        assert!(matches!(found.problem, Problem::BadContactLaw));
+        assert!(found.to_string().contains("from 0 to 1"), "{found}");
+    }
+    // Scenes with rigid contact have no such entry.
+    let text = |scene: &RecordedScene| String::from_utf8_lossy(&encoded(scene)).into_owned();
+    assert!(text(&everything()).contains("contact_law"));
+    let rigid = everything().with_contact_law(ContactLaw::RIGID).unwrap();
+    assert!(!text(&rigid).contains("contact_law"));
 }
 
 /// A file with one more tensor of the type I64 at its end.

@@ -333,8 +333,7 @@ fn evaluate_rolls_tosses_out_in_open_loop() {
 #[test]
 fn scenes_have_the_contact_law_of_their_file() {
     let folder = Folder::new();
-    let scene = toss(&folder, "tossed");
-    let bytes = std::fs::read(&scene).unwrap();
+    let bytes = std::fs::read(SCENE).unwrap();
     let length = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
     let with = |name: &str, law: &str| {
         let mut header: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
@@ -348,10 +347,10 @@ fn scenes_have_the_contact_law_of_their_file() {
     };
     let lawful = with("lawful.safetensors", "0.3,pyramid");
     let evaluated = |path: &str, more: &[&str]| -> serde_json::Value {
-        let usual = ["evaluate", path, "--model", NANO, "--steps", "5", "--json"];
+        let usual = ["evaluate", path, "--model", NANO, "--steps", "10", "--json"];
         serde_json::from_str(&works(&[&usual, more].concat())).unwrap()
     };
-    let (plain, ruled) = (evaluated(&scene, &[]), evaluated(&lawful, &[]));
+    let (plain, ruled) = (evaluated(SCENE, &[]), evaluated(&lawful, &[]));
     assert_eq!(
         (&plain["contact_law"], &ruled["contact_law"]),
         (&"0".into(), &"0.3,pyramid".into())
@@ -361,8 +360,8 @@ fn scenes_have_the_contact_law_of_their_file() {
         assert_ne!(plain[part], ruled[part], "{part}");
         // The option has the same law, and takes the file's place.
         for (path, law, expected) in [
-            (&scene, "0.3,pyramid", &ruled),
-            (&lawful, "0", &plain),
+            (SCENE, "0.3,pyramid", &ruled),
+            (lawful.as_str(), "0", &plain),
             (&lawful, "0.3,pyramid", &ruled),
         ] {
             let asked = evaluated(path, &["--contact-law", law]);
@@ -375,6 +374,17 @@ fn scenes_have_the_contact_law_of_their_file() {
         (&alone["model"], &alone["contact_law"]),
         (&ruled["without_network"], &"0.3,pyramid".into())
     );
+
+    let rolled_out = |path: &str, out: &str| {
+        works(&["rollout", path, "--model", NANO, "--out", &folder.path(out)]);
+        std::fs::read_to_string(folder.path(out) + "/poses.csv").unwrap()
+    };
+    assert_ne!(rolled_out(SCENE, "plain"), rolled_out(&lawful, "ruled"));
+    let checked = |path: &str| {
+        let out = run(&["check", "--float", NANO, "--quantised", NANO, path, "--json"]);
+        text(&out.stdout)
+    };
+    assert_ne!(checked(SCENE), checked(&lawful));
 
     assert!(works(&["inspect", &lawful]).contains("0.3,pyramid"));
     let shown: serde_json::Value =

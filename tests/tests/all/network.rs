@@ -7,6 +7,7 @@ use rigidformer_core::{
 };
 use rigidformer_evaluation::models::{random, with_rules};
 use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::{BatchSimulator, Start};
 use rigidformer_runtime::kernels::Kernel;
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::noise::Noise;
@@ -171,7 +172,7 @@ fn laws_out_of_range_are_refused() {
     assert_eq!(world.snapshot().as_bytes(), rigid.as_bytes());
 }
 
-/// A snapshot has the law of its scene, in two words that rigid scenes do not have; copies have it too, and futures.
+/// A snapshot has the law of its scene, in two words that rigid scenes do not have; copies have it too.
 #[test]
 fn snapshots_and_copies_have_the_law() {
     let model = ruled(&packed("tiny-impulses"), 0);
@@ -208,6 +209,31 @@ fn snapshots_and_copies_have_the_law() {
     let mut alone = World::on(serial(), &model, Limits { units: 6, points: 48 }, 1).unwrap();
     alone.restore(&single).unwrap();
     assert_eq!(alone.simulator().contact_law(), LAW);
+}
+
+/// Futures of a world have its law, and another one where their start says so.
+#[test]
+fn futures_have_the_law_of_their_start() {
+    let model = ruled(&packed("tiny-impulses"), 0);
+    let simulator = BatchSimulator::new(serial(), &model);
+    let run = |start: &Start<'_>| {
+        let mut out = vec![Isometry3::identity(); 3 * 12 * 6];
+        simulator.run(start, 12, &(), &mut out).unwrap();
+        let (first, others) = out.split_at(12 * 6);
+        assert!(others.chunks_exact(12 * 6).all(|other| other == first));
+        let numbers = |pose: &Isometry3<f32>| {
+            let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+            numbers.map(|number| number.to_bits()).collect::<Vec<_>>()
+        };
+        first.iter().flat_map(numbers).collect::<Vec<_>>()
+    };
+    let own = bits(&mut lawful(&model, LAW, 6, serial()), 12);
+    let rigid = bits(&mut thrown(&model, 6, serial()), 12);
+    let of_own = lawful(&model, LAW, 6, serial()).start().unwrap();
+    let of_rigid = thrown(&model, 6, serial()).start().unwrap();
+    assert_eq!(run(&Start::of(&of_own)), own);
+    assert_eq!(run(&Start { contact_law: Some(LAW), ..Start::of(&of_rigid) }), own);
+    assert_eq!(run(&Start { contact_law: Some(ContactLaw::RIGID), ..Start::of(&of_own) }), rigid);
 }
 
 /// What no snapshot has in the place of a law is refused, and the scene stays what it was.

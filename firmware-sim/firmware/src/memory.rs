@@ -6,8 +6,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::Point3;
 use rigidformer_core::{Limits, SlabSizes, Slabs, UnitSlot};
 use rigidformer_weights::{
-    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope,
-    Similarity,
+    Directions, Elastic, FeatureSet, Hidden, ModelConfig, Motion, Scales, Scope, Similarity,
 };
 
 /// The configuration of the model in flash; images check that it is that.

@@ -52,6 +52,7 @@ __all__ = [
     "evaluate",
     "free_fall",
     "kernels",
+    "network_inputs",
     "pack",
     "rollout",
 ]
@@ -880,6 +881,9 @@ def evaluate(
 ) -> dict[str, Any]: ...
 def free_fall(scene: Scene, step: int = 10, last_frame: Optional[int] = None) -> Trajectory: ...
 def kernels() -> list[str]: ...
+def network_inputs(
+    model: Model, scene: Scene, windows: Sequence[tuple[int, int]], *, points: Optional[Sequence[Sequence[int]]] = None
+) -> dict[str, npt.NDArray[Any]]: ...
 def pack(
     source: _Path,
     out: _Path,

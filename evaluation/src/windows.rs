@@ -49,7 +49,7 @@ impl Trace for Inputs {
 }
 
 /// The units that the network sees in each window, in order, as the model does that is given: its configuration and its
-/// normalisation count, its other weights do not. A step that the model takes in substeps has the inputs of all of them, one after another.
+/// normalisation count, its other weights do not. The scene began at frame 0 of the record. A step that the model takes in substeps has the inputs of all of them, one after another.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -85,7 +85,10 @@ pub fn network_inputs(
     windows: &[Window],
 ) -> Result<Vec<Vec<Seen>>, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
-    let run = || windows.iter().map(|window| of_window(&mut replay, scene, *window)).collect();
+    let run = || {
+        replay.observe(1, 1)?;
+        windows.iter().map(|window| of_window(&mut replay, scene, *window)).collect()
+    };
     engine.enter(|| in_own_environment(run))
 }
 
@@ -95,7 +98,7 @@ fn of_window(
     Window { first, step }: Window,
 ) -> Result<Vec<Seen>, RolloutError> {
     let now = first.saturating_add(step);
-    replay.observe(step, now)?;
+    replay.go_to(step, now)?;
     replay.command(now, step)?;
     let mut inputs = Inputs { units: vec![Default::default(); scene.units().len()] };
     let frame = now.saturating_add(step);

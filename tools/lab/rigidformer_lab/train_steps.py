@@ -111,7 +111,7 @@ class Batches:
             full=bool((one["points_in_use"] == one["points"].shape[2]).all()),
         )  # fmt: skip
         valid = torch.arange(impacts.shape[2], device=device) < one["impact_count"][..., None]
-        return scene, raw, place, (impacts, valid, pushes), one["share"] * mask, wanted
+        return scene, raw, place, (impacts, valid, pushes), one["share"] * mask, (wanted, one["known"] & mask[..., None])
 
 
 def predicted(model, scene, raw, place, impacts):
@@ -121,12 +121,12 @@ def predicted(model, scene, raw, place, impacts):
 
 
 def loss_of(model, batch, beta):
-    """Loss over the units that the network corrects, and how many these are."""
-    scene, raw, place, impacts, share, wanted = batch
+    """Loss over the units that the network corrects."""
+    scene, raw, place, impacts, share, (wanted, known) = batch
     out = predicted(model, scene, raw, place, impacts)
-    corrected = share > 0
-    error = (out * share[..., None, None] - wanted)[corrected]
-    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=beta), int(corrected.sum())
+    error = (out * share[..., None, None] - wanted).unflatten(-1, (2, 3)).transpose(2, 3)
+    error = error[known & (share > 0)[..., None]]
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=beta)
 
 
 @torch.no_grad()
@@ -134,13 +134,13 @@ def validate(model, batches, device, slots):
     """Mean error of anchors' ways and velocities on all windows, without and with the network, m/s; mean of the errors' sizes."""
     sums = np.zeros((3, 2))
     for batch in batches.draw(np.random.default_rng(0), slots):
-        scene, raw, place, impacts, share, wanted = batches.tensors(batch, device)
+        scene, raw, place, impacts, share, (wanted, known) = batches.tensors(batch, device)
         out = predicted(model, scene, raw, place, impacts) * share[..., None, None]
-        chosen = share > 0
+        chosen = known & (share > 0)[..., None]
         for row, values in enumerate((wanted, wanted - out)):
-            size = values[chosen].unflatten(-1, (2, 3)).norm(dim=-1).double()
+            size = values.unflatten(-1, (2, 3)).norm(dim=-1).mean(2).double() * chosen
             sums[row] += size.sum((0, 1)).cpu().numpy()
-        sums[2] += int(chosen.sum()) * ANCHORS
+        sums[2] += chosen.sum((0, 1)).cpu().numpy()
     without, with_ = sums[0] / sums[2], sums[1] / sums[2]
     names = ("way_m_s", "velocity_m_s")
     out = {name: round(float(value), 5) for name, value in zip(names, with_)}
@@ -151,7 +151,7 @@ def fit_normalisation(model, batches, rng, count=400):
     """Constants of the inputs, from windows at random."""
     features, touches, positions = [], [], []
     for batch in batches.draw(rng, 192)[:count]:
-        scene, raw, place, (impacts, valid, _), _, _ = batches.tensors(batch, "cpu", rng)
+        scene, raw, place, (impacts, valid, _), *_ = batches.tensors(batch, "cpu", rng)
         features.append(raw[scene.mask].flatten(0, 1)[::4])
         touches.append(impacts[valid & scene.mask[..., None]])
         positions.append(place[scene.mask].flatten(0, 1))
@@ -269,7 +269,7 @@ def main():
             lr = args.lr * min(1.0, (updates + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
             for group in optimizer.param_groups:
                 group["lr"] = lr
-            loss, _ = loss_of(model, batches.tensors(batch, device, rng), args.loss_beta)
+            loss = loss_of(model, batches.tensors(batch, device, rng), args.loss_beta)
             optimizer.zero_grad(set_to_none=True)
             loss.backward()
             norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)

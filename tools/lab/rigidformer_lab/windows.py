@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from .config import FEATURE_COUNT, IMPACT_FEATURES, IMPACTS, PRESETS, ModelConfig
-from .data import LAST_FRAME, Dataset
+from .data import IMPULSE_M_S, LAST_FRAME, Dataset
 from .geometry import quaternion_to_matrix
 from .model import ANCHORS, FEATURE_CLAMP
 from .roles import FREE
@@ -38,9 +38,9 @@ OFFSET = slice(6, 9)
 #: Vectors among the inputs of a point, and among those of an impact: where each begins.
 POINT_VECTORS = (0, 3, 6, 12, 15, 18, 27, 30)
 IMPACT_VECTORS = (0, 3, 6, 9, 12, 25, 28, 31, 34, 37, 40)
-ROW = ("features", "impacts", "impact_count", "points", "points_in_use", "anchors", "place", "pushes", "share", "wanted")
+ROW = ("features", "impacts", "impact_count", "points", "points_in_use", "anchors", "place", "pushes", "share", "wanted", "known")
 WINDOW = ("start", "code", "active")
-CHUNK = 32  # scenes that a thread takes at a time
+FORMAT = 1  # of a folder: another one is made again
 
 
 def look(config: ModelConfig, folder):
@@ -116,11 +116,19 @@ def rows_of(dataset, scene, config, windows, seen, points, rng):
     free = at(r1 @ r0.swapaxes(-1, -2) @ r1, 2 * c1 - c0 + gravity * (step / rate)[:, None] ** 2)
     here_now = at(r1, c1)
     pushes = np.concatenate(((prior - free) / dt, ((prior - free) - (before - here_now)) / dt), -1) / speed
-    pace_way, pace_turn = dataset._paces(unit[:, None], then[:, None], step, np.full(len(unit), rate), np.repeat(gravity[None], len(unit), 0))
+    # Engines answer a touch in the step after it, and the runtime within the step: where the record bounces just at the end, what it does
+    # next is what is wanted, and of places nothing.
+    frame = lambda k: u.centre[unit, (then + k).clip(max=u.centre.shape[1] - 1)].astype(np.float64)  # noqa: E731
+    bend = lambda k: np.linalg.norm(frame(k + 1) - 2 * frame(k) + frame(k - 1) - gravity / rate**2, axis=-1) * rate > IMPULSE_M_S  # noqa: E731
+    late = bend(0)
+    unsettled = late & (bend(1) | (then + 2 > world.frames[scene] - 1))
+    pace_way, pace_turn = dataset._paces(unit[:, None], (then + late)[:, None], step, np.full(len(unit), rate), np.repeat(gravity[None], len(unit), 0))
+    pace_way = pace_way[:, 0, 0] - late[:, None] * gravity * (step / rate**2)[:, None]
     fall = 0.5 * gravity * (step / rate)[:, None] ** 2
     truth = at(r2, c2)
-    truth_before = at(pace_turn[:, 0, 0].swapaxes(-1, -2) @ r2, c2 - pace_way[:, 0, 0] + fall)
+    truth_before = at(pace_turn[:, 0, 0].swapaxes(-1, -2) @ r2, c2 - pace_way + fall)
     wanted = np.concatenate(((truth - prior) / dt, ((truth - truth_before) - (prior - before)) / dt), -1) / speed
+    known = np.stack((~late, ~unsettled), -1)
     features = seen["features"] / np.float32(SCALE)
     origin = (rng.random(len(unit)) * (first + 1)).astype(np.int64)
     # One origin a window, so that its units began together.
@@ -132,7 +140,7 @@ def rows_of(dataset, scene, config, windows, seen, points, rng):
     impacts[:, : given.shape[1]] = given
     counts = np.diff(np.searchsorted(window, np.arange(len(windows) + 1)))
     code = np.array([s for _, s in windows], np.float64) * config.frame_rate_hz / (rate * second)
-    active = (share > 0) & (u.role[unit] == FREE) & (np.abs(wanted).max((1, 2)) < 10 * (1 + share / speed))
+    active = (share > 0) & (u.role[unit] == FREE) & known.any(-1) & (np.abs(wanted).max((1, 2)) < 10 * (1 + share / speed))
     keep = np.zeros(len(windows), bool)
     np.logical_or.at(keep, window, active)
     keep &= code <= (config.longest_step or np.inf) * (1 + 1e-6)
@@ -143,7 +151,7 @@ def rows_of(dataset, scene, config, windows, seen, points, rng):
         "points_in_use": np.minimum(dataset.count[u.shape[unit]], points.shape[1]).astype(np.uint8),
         "anchors": (anchors / length).astype(np.float32), "place": (here_now / length).astype(np.float32),
         "pushes": pushes.clip(-FEATURE_CLAMP, FEATURE_CLAMP).astype(np.float32),
-        "share": np.where(active, share / speed, 0.0).astype(np.float32), "wanted": wanted.astype(np.float32),
+        "share": np.where(active, share / speed, 0.0).astype(np.float32), "wanted": wanted.astype(np.float32), "known": known,
     }  # fmt: skip
     out = {name: values[rows] for name, values in out.items()}
     return out, counts[keep], code[keep]
@@ -190,7 +198,7 @@ def collect(paths, splits, config, count, steps, points=32, contact_share=0.9, s
                     return None  # a record whose frames no step can start from
                 return rows_of(dataset, scene, config, windows, seen, told, rng)
 
-            for found in pool.map(one, range(len(dataset)), chunksize=CHUNK):
+            for found in pool.map(one, range(len(dataset))):
                 bar.update()
                 if found is not None and len(found[1]):
                     parts.append(found)
@@ -209,7 +217,7 @@ def described(paths, config, arguments):
     """What a folder of windows is of."""
     digests = {pathlib.Path(path).name: hashlib.sha256(pathlib.Path(path).read_bytes()).hexdigest()[:16] for path in paths}
     law = None if config.law is None else dataclasses.asdict(config.law)
-    return {"scenes": digests, "features": config.features, "length_m": config.length_m, "law": law, **arguments}
+    return {"format": FORMAT, "scenes": digests, "features": config.features, "length_m": config.length_m, "law": law, **arguments}
 
 
 def write(folder, arrays, description):

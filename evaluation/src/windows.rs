@@ -1,5 +1,6 @@
 //! What the network sees in single steps of recorded scenes, and where these steps end without it: what training learns from.
 
+use nalgebra::Isometry3;
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Layer, Trace, Uncorrected};
 use rigidformer_runtime::engine::Engine;
@@ -16,6 +17,9 @@ pub struct Window {
     /// Frames of the step.
     pub step: u32,
 }
+
+/// What a window observes in place of the record: poses of all units, a step before and then.
+pub type Start = [Vec<Isometry3<f32>>; 2];
 
 /// A unit as the network sees it.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,7 +53,9 @@ impl Trace for Inputs {
 }
 
 /// The units that the network sees in each window, in order, as the model does that is given: its configuration and its
-/// normalisation count, its other weights do not. The scene began at frame 0 of the record. A step that the model takes in substeps has the inputs of all of them, one after another.
+/// normalisation count, its other weights do not. The scene began at frame 0 of the record. A step that the model takes in substeps has
+/// the inputs of all of them, one after another. `starts` has what each window observes; empty: its two frames of the record. Between
+/// these a unit may have met something, and a start can say how fast it is afterwards.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3, Vector3};
@@ -69,7 +75,7 @@ impl Trace for Inputs {
 /// let scene = RecordedScene::new("drop", 1, Split::Train, 240.0, Vector3::new(0.0, 0.0, -10.0), vec![unit])?;
 ///
 /// let windows = [Window { first: 0, step: 10 }, Window { first: 35, step: 10 }];
-/// let seen = network_inputs(Engine::new()?, &model, &scene, &windows)?;
+/// let seen = network_inputs(Engine::new()?, &model, &scene, &windows, &[])?;
 /// // In the second window the cube meets the ground.
 /// let touched = |window: usize| seen[window].iter().any(|unit| unit.uncorrected.share_m_s > 0.0);
 /// assert!(!touched(0) && touched(1));
@@ -83,11 +89,15 @@ pub fn network_inputs(
     model: &LoadedModel,
     scene: &RecordedScene,
     windows: &[Window],
+    starts: &[Start],
 ) -> Result<Vec<Vec<Seen>>, RolloutError> {
     let mut replay = Replay::new(engine, model, scene)?;
     let run = || {
         replay.observe(1, 1)?;
-        windows.iter().map(|window| of_window(&mut replay, scene, *window)).collect()
+        let mut one = |(number, window): (usize, &Window)| {
+            of_window(&mut replay, scene, *window, starts.get(number))
+        };
+        windows.iter().enumerate().map(&mut one).collect()
     };
     engine.enter(|| in_own_environment(run))
 }
@@ -96,9 +106,13 @@ fn of_window(
     replay: &mut Replay<'_>,
     scene: &RecordedScene,
     Window { first, step }: Window,
+    start: Option<&Start>,
 ) -> Result<Vec<Seen>, RolloutError> {
     let now = first.saturating_add(step);
-    replay.go_to(step, now)?;
+    match start {
+        Some(start) => replay.go_as(step, now, start)?,
+        None => replay.go_to(step, now)?,
+    }
     replay.command(now, step)?;
     let mut inputs = Inputs { units: vec![Default::default(); scene.units().len()] };
     let frame = now.saturating_add(step);
@@ -118,23 +132,22 @@ fn of_window(
 #[cfg(test)]
 mod tests {
     use nalgebra::{Isometry3, Point3, Vector3};
-    use rigidformer_core::Physics;
+    use rigidformer_core::{Compliance, Physics};
 
     use super::*;
     use crate::scenes::{RecordedUnit, Split};
 
-    /// Two cubes; one falls onto the other, as a record has it that knows no contact.
+    /// Two cubes; one falls onto the other, as a record has it that knows no contact. Smaller ones would take a step in two substeps.
     fn scene() -> RecordedScene {
-        let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 });
+        let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.2 } else { 0.2 });
         let points: Vec<_> = (0..8).map(|i| Point3::from(corner(i))).collect();
         let rubber = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
         let unit = |name, pose: &dyn Fn(i32) -> Isometry3<f32>| {
             RecordedUnit::new(name, points.clone(), rubber, (0..=60).map(pose).collect())
         };
-        let fall = |frame| {
-            Isometry3::translation(0.02, 0.0, 0.5 - 5.0 * (frame as f32 / 240.0).powi(2))
-        };
-        let rest = |_| Isometry3::translation(0.0, 0.0, 0.1);
+        let fall =
+            |frame| Isometry3::translation(0.02, 0.0, 0.8 - 5.0 * (frame as f32 / 240.0).powi(2));
+        let rest = |_| Isometry3::translation(0.0, 0.0, 0.2);
         let units = vec![unit("falls", &fall), unit("rests", &rest)];
         let gravity = Vector3::new(0.0, 0.0, -10.0);
         RecordedScene::new("drop", 1, Split::Train, 240.0, gravity, units).unwrap()
@@ -145,13 +158,14 @@ mod tests {
         let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
         let (scene, engine) = (scene(), Engine::new().unwrap());
         let windows: Vec<_> = (0..40).map(|first| Window { first, step: 10 }).collect();
-        let all = network_inputs(engine, &model, &scene, &windows).unwrap();
+        let all = network_inputs(engine, &model, &scene, &windows, &[]).unwrap();
         let touched = all.iter().flatten().filter(|seen| seen.uncorrected.share_m_s > 0.0).count();
-        assert!(touched > 10, "{touched}");
+        assert!(touched > 5, "{touched}");
         let config = model.model().config();
         for (window, seen) in windows.iter().zip(&all) {
             // By itself a window is what it is among others.
-            assert_eq!(&network_inputs(engine, &model, &scene, &[*window]).unwrap()[0], seen);
+            let alone = network_inputs(engine, &model, &scene, &[*window], &[]).unwrap();
+            assert_eq!(&alone[0], seen);
             for Seen { features, impacts, uncorrected, .. } in seen {
                 assert_eq!(features.len(), 8 * config.features.len());
                 assert_eq!(impacts.len() % rigidformer_weights::IMPACT_FEATURES, 0);
@@ -160,27 +174,78 @@ mod tests {
             }
         }
         let beyond = [Window { first: 100_000, step: 1 }];
-        let refused = network_inputs(engine, &model, &scene, &beyond);
+        let refused = network_inputs(engine, &model, &scene, &beyond, &[]);
         assert!(matches!(refused, Err(RolloutError::TooFewFrames { .. })));
+    }
+
+    /// What a step ends at without the network is what it ends at with the network left out.
+    fn ends_where_it_says(scene: &RecordedScene) {
+        let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+        let engine = Engine::new().unwrap();
+        let windows: Vec<_> = (30..40).map(|first| Window { first, step: 10 }).collect();
+        let mut touched = 0;
+        for (window, seen) in
+            windows.iter().zip(network_inputs(engine, &model, scene, &windows, &[]).unwrap())
+        {
+            let mut replay = Replay::new(engine, &model, scene).unwrap();
+            replay.observe(10, window.first + 10).unwrap();
+            replay.world.set_network(false);
+            replay.world.step().unwrap();
+            for seen in &seen {
+                touched += usize::from(seen.uncorrected.share_m_s > 0.0);
+                let unit = replay.world.simulator().units().nth(seen.unit).unwrap();
+                let found = unit.internal_pose();
+                let way = found.centre - seen.uncorrected.centre.coords.map(|v| v as f32);
+                // What overlaps in the end is moved apart afterwards.
+                assert!(way.norm() < 1e-3, "{way}");
+                assert!((found.rotation - seen.uncorrected.rotation).norm() < 1e-5);
+                let speed = replay.world.simulator().velocity(unit.id()).unwrap().linear_m_s;
+                // A way is that of half a step before, as that between two poses is.
+                let later = scene.gravity_m_s2() / 48.0;
+                let says = seen.uncorrected.way_m * 24.0 + later;
+                assert!((speed - says).norm() < 1e-3, "{speed} {says}");
+            }
+        }
+        assert!(touched > 5, "{touched}");
     }
 
     #[test]
     fn without_the_network_a_step_ends_where_it_says() {
+        ends_where_it_says(&scene());
+    }
+
+    #[test]
+    fn so_does_one_with_springs() {
+        let (given, compliance) =
+            (scene(), Compliance { stiffness_n_m: 2e3, dissipation_s_m: 2.0 });
+        let units = given.units().iter().map(|unit| unit.clone().with_compliance(compliance));
+        let gravity = given.gravity_m_s2();
+        let soft = RecordedScene::new("soft", 1, Split::Train, 240.0, gravity, units.collect());
+        let soft = soft.unwrap();
+        ends_where_it_says(&soft);
+        let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
+        let (engine, windows) = (Engine::new().unwrap(), [Window { first: 35, step: 10 }]);
+        let [rigid, soft] = [&given, &soft]
+            .map(|scene| network_inputs(engine, &model, scene, &windows, &[]).unwrap());
+        // The springs' motion is another one, and so is what it changes.
+        assert!((rigid[0][0].uncorrected.centre - soft[0][0].uncorrected.centre).norm() > 1e-3);
+        assert!(rigid[0][0].uncorrected.share_m_s != soft[0][0].uncorrected.share_m_s);
+    }
+
+    #[test]
+    fn a_window_starts_as_it_is_told() {
         let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE).unwrap();
         let (scene, engine) = (scene(), Engine::new().unwrap());
-        let window = Window { first: 35, step: 10 };
-        let seen = network_inputs(engine, &model, &scene, &[window]).unwrap();
-        let mut replay = Replay::new(engine, &model, &scene).unwrap();
-        replay.observe(10, 45).unwrap();
-        replay.world.set_network(false);
-        replay.world.step().unwrap();
-        for seen in seen.iter().flatten() {
-            let unit = replay.world.simulator().units().nth(seen.unit).unwrap();
-            let found = unit.internal_pose();
-            let way = found.centre - seen.uncorrected.centre.coords.map(|v| v as f32);
-            // What overlaps in the end is moved apart afterwards.
-            assert!(way.norm() < 1e-3, "{way}");
-            assert!((found.rotation - seen.uncorrected.rotation).norm() < 1e-5);
-        }
+        let windows = [Window { first: 30, step: 10 }];
+        let told = [scene.poses_at(30).unwrap(), scene.poses_at(40).unwrap()];
+        let recorded = network_inputs(engine, &model, &scene, &windows, &[]).unwrap();
+        let same = network_inputs(engine, &model, &scene, &windows, &[told.clone()]).unwrap();
+        assert_eq!(recorded, same);
+        let mut faster = told;
+        faster[0][0].translation.z += 0.01;
+        let other = network_inputs(engine, &model, &scene, &windows, &[faster]).unwrap();
+        // It falls faster, by 0.24 m/s, and leaves otherwise.
+        let change = (other[0][0].uncorrected.way_m - recorded[0][0].uncorrected.way_m).norm();
+        assert!(change > 1e-3, "{change}");
     }
 }

@@ -6,7 +6,7 @@ use rigidformer_core::weights::{IMPACT_FEATURES, Motion};
 use rigidformer_evaluation::windows::{self, Seen, Window};
 use rigidformer_runtime::engine::Engine;
 
-use crate::arrays;
+use crate::arrays::{self, Floats, POSE};
 use crate::errors::{OrRaise, input};
 use crate::interrupt::free;
 use crate::model::Model;
@@ -32,6 +32,8 @@ const UNCORRECTED: usize = 3 + 9 + 3 + 3 + 1;
 /// points : sequence of sequence of int, optional
 ///     For each unit the numbers of the points to tell of, in the model's order, where each is farthest from those before; None: all.
 ///     All units are told of as many.
+/// starts : array of float32, (windows, 2, units, 7), optional
+///     Poses that windows observe in place of their two frames of the record.
 ///
 /// Returns
 /// -------
@@ -44,7 +46,7 @@ const UNCORRECTED: usize = 3 + 9 + 3 + 3 + 1;
 /// Raises
 /// ------
 /// InputError
-///     A frame is not recorded, the model does not move units by impulses, or ``points`` does not fit.
+///     A frame is not recorded, the model does not move units by impulses, or ``points`` or ``starts`` does not fit.
 /// StepError
 ///     A step diverged.
 ///
@@ -56,37 +58,61 @@ const UNCORRECTED: usize = 3 + 9 + 3 + 3 + 1;
 /// >>> seen["features"].shape[0] == len(seen["window"])
 /// True
 #[pyfunction]
-#[pyo3(signature = (model, scene, windows, *, points = None))]
+#[pyo3(signature = (model, scene, windows, *, points = None, starts = None))]
 pub(crate) fn network_inputs<'py>(
     py: Python<'py>,
     model: &Model,
     scene: &Scene,
     windows: Vec<(u32, u32)>,
     points: Option<Vec<Vec<usize>>>,
+    starts: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let config = model.loaded.model().config();
     if config.motion != Motion::Impulses {
-        return Err(input("the model does not move units by impulses; give edge or nano, or one of their kind"));
+        return Err(input(
+            "the model does not move units by impulses; give edge or nano, or one of their kind",
+        ));
     }
     if windows.len() > MOST_WINDOWS || windows.iter().any(|(_, step)| *step == 0) {
-        return Err(input(format!("windows: give at most {MOST_WINDOWS}, with steps of 1 frame or more")));
+        return Err(input(format!(
+            "windows: give at most {MOST_WINDOWS}, with steps of 1 frame or more"
+        )));
     }
     let units = scene.scene.units().len();
     let told = points.as_ref().and_then(|points| points.first()).map(Vec::len);
     if let Some(points) = &points {
         if points.len() != units || points.iter().any(|own| Some(own.len()) != told) {
-            return Err(input(format!("points: give as many numbers for each of the scene's {units} units")));
+            return Err(input(format!(
+                "points: give as many numbers for each of the scene's {units} units"
+            )));
         }
     }
     let width = config.features.len();
     let asked: Vec<_> = windows.iter().map(|&(first, step)| Window { first, step }).collect();
+    let starts = match starts {
+        Some(starts) => {
+            let shape = [Some(windows.len()), Some(2), Some(units), Some(POSE)];
+            let poses = Floats::of(starts, "starts", &shape)?;
+            let poses: Vec<_> = poses.slice()?.chunks_exact(POSE).map(arrays::pose_of).collect();
+            // A scene has units.
+            let pairs = poses.chunks_exact(2 * units.max(1)).map(|pair| pair.split_at(units));
+            pairs.map(|(before, then)| [before.to_vec(), then.to_vec()]).collect()
+        }
+        None => Vec::new(),
+    };
     let engine = Engine::new().or_raise()?.single();
-    let found = free(py, || windows::network_inputs(engine, &model.loaded, &scene.scene, &asked))?;
+    let found =
+        free(py, || windows::network_inputs(engine, &model.loaded, &scene.scene, &asked, &starts))?;
     let found = found.or_raise()?;
-    let rows: Vec<(usize, &Seen)> =
-        found.iter().enumerate().flat_map(|(window, seen)| seen.iter().map(move |s| (window, s))).collect();
-    let each = told.unwrap_or_else(|| rows.iter().map(|(_, s)| s.features.len() / width).max().unwrap_or(0));
-    let most = rows.iter().map(|(_, s)| s.impacts.len() / IMPACT_FEATURES).max().unwrap_or(0).max(1);
+    let rows: Vec<(usize, &Seen)> = found
+        .iter()
+        .enumerate()
+        .flat_map(|(window, seen)| seen.iter().map(move |s| (window, s)))
+        .collect();
+    let each = told
+        .unwrap_or_else(|| rows.iter().map(|(_, s)| s.features.len() / width).max().unwrap_or(0));
+    let most =
+        rows.iter().map(|(_, s)| s.impacts.len() / IMPACT_FEATURES).max().unwrap_or(0).max(1);
     let mut features = vec![0.0_f32; rows.len() * each * width];
     let mut impacts = vec![0.0_f32; rows.len() * most * IMPACT_FEATURES];
     let mut uncorrected = Vec::with_capacity(rows.len() * UNCORRECTED);
@@ -97,7 +123,10 @@ pub(crate) fn network_inputs<'py>(
                 for (to, number) in room.chunks_exact_mut(width).zip(own) {
                     let from = seen.features.chunks_exact(width).nth(*number).ok_or_else(|| {
                         let count = seen.features.len() / width;
-                        input(format!("points: unit {} has {count} points, and {number} is asked for", seen.unit))
+                        input(format!(
+                            "points: unit {} has {count} points, and {number} is asked for",
+                            seen.unit
+                        ))
                     })?;
                     to.copy_from_slice(from);
                 }

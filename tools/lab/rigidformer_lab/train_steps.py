@@ -44,7 +44,8 @@ def threads_of(device):
 class Batches:
     """Windows of some folders in memory, drawn by how much there is to learn from them."""
 
-    def __init__(self, folders, limit=None):
+    def __init__(self, folders, limit=None, read=read):
+        """`read`: arrays of one of the folders, and what it is of."""
         read_all = [read(folder) for folder in folders]
         self.described = [description for _, description in read_all]
         if len({json.dumps([d["features"], d["length_m"]]) for d in self.described}) > 1:

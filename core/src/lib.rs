@@ -85,6 +85,8 @@ pub use scene::Soft;
 pub use scene::{Compliance, Physics, Role, Unit, UnitId, UnitSlot};
 #[cfg(feature = "health")]
 pub use simulator::{Excess, Health, HealthReport, InnovationError};
+#[cfg(rigidformer_host)]
+pub use simulator::Uncorrected;
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView, Velocity};
 pub use slabs::{Memory, SlabSizes, Slabs};
 #[cfg(feature = "deform")]

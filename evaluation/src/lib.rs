@@ -20,6 +20,7 @@
 //! | `render` | what depth cameras would see of a recorded scene (feature `sensors`) |
 //! | `score` | how far a tracker's estimates are from the true scene (feature `sensors`) |
 //! | `segments` | how well a segmentation finds the bodies of an image (feature `sensors`) |
+//! | [`windows`] | what the network sees in single steps of recorded scenes, for training |
 //! | [`models`] | packs and quantises models |
 //!
 //! Frames of reference are right-handed with z up; units are SI.
@@ -75,3 +76,4 @@ pub mod score;
 #[cfg(feature = "sensors")]
 pub mod segments;
 pub mod soft;
+pub mod windows;

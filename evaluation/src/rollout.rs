@@ -517,6 +517,51 @@ impl<'s> Replay<'s> {
         self.hold(frame)
     }
 
+    /// Goes on from the recorded poses at frames `frame - step` and `frame` of the scene that was [observed](Self::observe), whose first
+    /// frame stays. Scenes of soft units or bonds are observed anew.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where they are not recorded or not accepted.
+    pub(crate) fn go_to(&mut self, step: u32, frame: u32) -> Result<(), RolloutError> {
+        let scene = self.scene;
+        if scene.units().iter().any(|unit| unit.soft.is_some()) {
+            return self.observe(step, frame);
+        }
+        let at = |frame: Option<u32>| scene.poses_at(frame? as usize);
+        let (Some(previous), Some(current)) = (at(frame.checked_sub(step)), at(Some(frame))) else {
+            let (scene, recorded) = (scene.name().to_owned(), scene.frames());
+            return Err(RolloutError::TooFewFrames { scene, step, recorded });
+        };
+        self.go_as(step, frame, &[previous, current])
+    }
+
+    /// As [`go_to`](Self::go_to), from given poses of all units a step before the frame and then. They are rigid.
+    ///
+    /// # Errors
+    /// [`RolloutError`] where they are not accepted.
+    pub(crate) fn go_as(
+        &mut self,
+        step: u32,
+        frame: u32,
+        [previous, current]: &[Vec<Isometry3<f32>>; 2],
+    ) -> Result<(), RolloutError> {
+        let dt_s = step as f32 / self.scene.frame_rate_hz();
+        if !self.scene.bonds().is_empty() {
+            self.observe_poses(dt_s, previous, current)?;
+            return self.hold(frame);
+        }
+        self.edit(|world| {
+            world.edit(|simulator| {
+                simulator.set_dt(dt_s)?;
+                let ids: Vec<_> = simulator.units().map(|unit| unit.id()).collect();
+                let mut poses = ids.into_iter().zip(previous.iter().zip(current));
+                poses.try_for_each(|(id, (previous, current))| {
+                    simulator.set_poses(id, previous, current)
+                })
+            })
+        })
+    }
+
     /// Makes the bonds that hold at a frame.
     fn hold(&mut self, frame: u32) -> Result<(), RolloutError> {
         let held = HeldBonds::make(&mut self.world, self.scene, frame as usize);

@@ -12,6 +12,7 @@ use pyo3::prelude::*;
 use pyo3::sync::PyOnceLock;
 use pyo3::types::PyType;
 use rigidformer_core::StepError;
+use rigidformer_evaluation::contact::ContactError;
 use rigidformer_evaluation::scenes::{Problem, SceneError};
 use rigidformer_runtime::files::FileError;
 use rigidformer_runtime::futures::BatchError;
@@ -110,8 +111,11 @@ pub(crate) fn text_of(error: &dyn Error) -> String {
 
 /// The file that an error is about.
 fn path_of<'e>(error: &'e (dyn Error + 'static)) -> Option<&'e Path> {
-    // A model's error passes its file's on as its own.
+    // A model's error passes its file's on as its own, and so does contact's.
     if let Some(ModelError::File(file)) = error.downcast_ref() {
+        return Some(&file.path);
+    }
+    if let Some(ContactError::File(file)) = error.downcast_ref() {
         return Some(&file.path);
     }
     let file = error.downcast_ref::<FileError>().map(|error| error.path.as_path());

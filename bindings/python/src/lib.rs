@@ -10,6 +10,7 @@
 //! | `perception` | depth images and clouds, and the tracker |
 //! | `pack` | models packed, and said more about |
 //! | `tools` | check, evaluate |
+//! | `windows` | what training learns from |
 //! | `arrays` | numpy arrays as slices, and back |
 //! | `errors` | Rust's errors as exceptions |
 //! | `interrupt` | long calls that Ctrl-C ends |
@@ -41,6 +42,7 @@ mod tools;
 mod unit;
 mod walking;
 mod whole;
+mod windows;
 mod world;
 
 /// What `rigidformer` re-exports.
@@ -72,6 +74,8 @@ mod _native {
     use super::unit::{Plane, Unit};
     #[pymodule_export]
     use super::walking::{WalkPlan, WalkPlanner};
+    #[pymodule_export]
+    use super::windows::network_inputs;
     #[pymodule_export]
     use super::world::{Observation, Report, World, kernels};
 }

@@ -7,6 +7,7 @@ use numpy::PyArrayDyn;
 use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
+use rigidformer_evaluation::contact::Contact;
 use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::predicted;
 use rigidformer_evaluation::scenes::{
@@ -470,6 +471,38 @@ impl Scene {
     ) -> PyResult<Vec<Pivot>> {
         let joined = free(py, || pivots::joined(self.scene.clone(), last))?.or_raise()?;
         Ok(joined.pivots().iter().copied().map(Pivot::from).collect())
+    }
+
+    /// The same scene with contact's numbers from a file: what ``rigidformer evaluate --contact`` measures.
+    ///
+    /// Parameters
+    /// ----------
+    /// path : str, os.PathLike
+    ///     A file that ``rigidformer calibrate`` wrote.
+    ///
+    /// Returns
+    /// -------
+    /// Scene
+    ///     Friction, stiffness, gravity, planes and inertia as the file says; recorded poses stay.
+    ///
+    /// Raises
+    /// ------
+    /// FileError
+    ///     The file cannot be read.
+    /// InputError
+    ///     It is none of such numbers, or one of them is of a plane and the scene has none.
+    ///
+    /// Source: ``evaluation/src/contact.rs``.
+    ///
+    /// >>> import pathlib, tempfile, rigidformer as rf
+    /// >>> path = pathlib.Path(tempfile.mkdtemp()) / "contact.toml"
+    /// >>> _ = path.write_text('format = "rigidformer-contact"\nversion = 1\ngravity_factor = 0.5\n')
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> bool(scene.with_contact(path).gravity_m_s2[2] == scene.gravity_m_s2[2] / 2)
+    /// True
+    fn with_contact(&self, py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
+        let applied = free(py, || Contact::open(&path)?.applied(&self.scene))?;
+        Ok(Scene { scene: applied.or_raise()? })
     }
 
     /// float32 (frames, size), or None where it has no commands. Read-only.

@@ -6,7 +6,8 @@
 //! | `observe` | a scene from two frames |
 //! | `measure` | what a scene is measured in |
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
-//! | `correction`, `law` | whether the network corrects motion, and how contacts bounce |
+//! | `correction` | whether the network corrects motion, and what it corrects |
+//! | `law` | how contacts bounce |
 //! | `velocity` | velocities of units, read and set |
 //! | `bond` | bonds between units |
 //! | `join` | joints between units |
@@ -45,6 +46,8 @@ mod substeps;
 mod units;
 mod velocity;
 
+#[cfg(rigidformer_host)]
+pub use correction::Uncorrected;
 #[cfg(feature = "health")]
 pub use health::{Excess, Health, HealthReport, InnovationError};
 pub use observe::{Observation, Observed, Posed};

@@ -268,16 +268,20 @@ class Dataset:
             (put(lead), put(bodies)),
         )  # fmt: skip
 
-    def _hits(self):
-        """(S, T) cumulative count of frames in which some free unit is pushed."""
+    def pushed(self, impulse_m_s=IMPULSE_M_S):
+        """(U, T) whether a free unit's velocity changes by as much at a frame, beside gravity."""
         c = self.units.centre.astype(np.float64)
         push = np.zeros(c.shape[:2], bool)
         each = np.repeat(np.arange(len(self)), np.diff(self.first_unit))
         rate = self.worlds.rate[each, None]
         bend = c[:, 2:] - 2 * c[:, 1:-1] + c[:, :-2] - (self.worlds.gravity[each] / rate**2)[:, None]
-        push[:, 1:-1] = np.linalg.norm(bend, axis=-1) * rate > IMPULSE_M_S
+        push[:, 1:-1] = np.linalg.norm(bend, axis=-1) * rate > impulse_m_s
         push &= (self.units.role == FREE)[:, None] & (np.arange(c.shape[1]) < self.worlds.frames[each, None] - 1)
-        scene = np.add.reduceat(push, self.first_unit[:-1], axis=0) > 0
+        return push
+
+    def _hits(self, impulse_m_s=IMPULSE_M_S):
+        """(S, T) cumulative count of frames in which some free unit is pushed."""
+        scene = np.add.reduceat(self.pushed(impulse_m_s), self.first_unit[:-1], axis=0) > 0
         return np.cumsum(scene, axis=1)
 
     def refresh_subsets(self, points):

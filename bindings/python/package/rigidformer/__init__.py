@@ -60,6 +60,7 @@ from ._native import (
     evaluate,
     free_fall,
     kernels,
+    network_inputs,
     pack,
     rollout,
 )
@@ -114,6 +115,7 @@ __all__ = [
     "free_fall",
     "from_xyzw",
     "kernels",
+    "network_inputs",
     "pack",
     "rollout",
     "to_xyzw",

@@ -26,10 +26,10 @@ import torch.nn.functional as F
 from tqdm import tqdm
 
 from .config import PRESETS, ModelConfig
-from .model import ANCHORS, RigidFormer, Scene, transform
-from .packed import read_weights
-from .train import Average, positive, read_average, read_checkpoint, save, share
 from .export import changed, runs_of
+from .model import RigidFormer, Scene
+from .packed import read_weights
+from .train import Average, positive, read_average, read_checkpoint, save
 from .windows import IMPACT_VECTORS, POINT_VECTORS, ROW, WINDOW, read
 
 BETA_M_S = 0.02  # of the loss: quadratic below, linear above; velocities are in the scenes' own measure
@@ -37,8 +37,9 @@ FARTHEST = 3.0  # how far a window is moved at random, in the scenes' own length
 MOST_ROWS = 24  # of a window
 
 
-def threads_of(device):
-    return torch.get_num_threads() if device == "cpu" else 1
+def has_bf16(device):
+    """Whether products of bf16 are quicker there than those of f32; other processors emulate them, at twice the time."""
+    return device == "cuda" or any(getattr(torch.cpu, f"_is_{kind}_supported", lambda: False)() for kind in ("amx_tile", "avx512_bf16"))
 
 
 class Batches:
@@ -182,12 +183,13 @@ def main():
     parser.add_argument("--start-from", type=pathlib.Path, help="weights of another run's checkpoint, or of a packed f32 model")
     parser.add_argument("--zero-head", action="store_true", help="with --start-from: a head of zeros all the same")
     parser.add_argument("--weight-decay", type=float, default=0.01)
-    parser.add_argument("--dropout", type=share, default=0.0, help="share of the points that a batch leaves out")
-    parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, default=True)
+    parser.add_argument("--bf16", action=argparse.BooleanOptionalAction, help="products in bf16 (default: where the processor has them)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=positive, help="of the processor (default: one a core)")
     args = parser.parse_args()
     device = "cuda" if torch.cuda.is_available() else "cpu"
+    if args.bf16 is None:
+        args.bf16 = has_bf16(device)
     if args.threads:
         torch.set_num_threads(args.threads)
     torch.manual_seed(args.seed)

@@ -99,6 +99,26 @@ def test_looks_and_physics_are_chosen(file, scenes):
     assert first.shape != second.shape or not np.allclose(first, second)
 
 
+def test_an_interrupted_run_continues(file, seen, monkeypatch, capsys):
+    # A shard a scene, so that one can be there and one not.
+    monkeypatch.setattr(clouds, "shards_of", lambda first, count: [range(k, k + 1) for k in range(first, first + count)])
+    join = clouds.Recipe.join
+
+    def interrupt(recipe, shards):
+        raise KeyboardInterrupt
+
+    command = [str(file), "--out", str(file.with_name("resumed")), "--captures", "3", "--workers", "1"]
+    monkeypatch.setattr(clouds.Recipe, "join", interrupt)
+    assert clouds.main(command) == 130
+    assert "continues" in capsys.readouterr().err
+    monkeypatch.setattr(clouds.Recipe, "join", join)
+    sorted(file.with_name("resumed.parts").glob("seeds-*"))[1].unlink()
+    assert clouds.main([*command, "--noise", "0.002"]) == 1
+    assert "other arguments" in capsys.readouterr().err
+    assert clouds.main(command) == 0
+    assert file.with_name("resumed").read_bytes() == seen.read_bytes()
+
+
 def test_a_model_trains_on_them(seen):
     dataset = Dataset([seen], [TRAIN], last_frame=50)
     windows = dataset.windows(2, [5], 1, latest_start=20)
@@ -106,7 +126,7 @@ def test_a_model_trains_on_them(seen):
     assert len(chosen) and all(len(own) for own in rows)
 
 
-def test_what_nobody_sees_stays_and_what_is_fixed_too(scenes, tmp_path):
+def test_what_nobody_sees_stays(scenes, tmp_path):
     # A unit far below the ground is hidden by it.
     poses = scenes.unit_poses.copy()
     poses[0, :, 2] = -5.0

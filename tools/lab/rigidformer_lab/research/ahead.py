@@ -3,10 +3,13 @@
     python -m rigidformer_lab.research.ahead movi-a.safetensors --model edge-i8.rfm --cameras 2 --noise 0.001
 
 The tracker follows scenes that are rendered, with the network and without it, and predicts from every third capture. Beside its own
-prediction stand those of the same model from other starts, all with true poses. `shape`: the tracker's shapes and masses, true
-velocities. `motion`: true shapes, the tracker's velocities. `both`: the tracker's shapes and velocities. `neither`: true shapes and
-velocities. In all of these frictions and restitutions are the tracker's guesses, and so are densities; `physics` is `neither` with
-recorded ones. Errors of positions are those of body frames, RMS over all units and captures, and the median.
+prediction (`tracker`) stand those of the same model from other starts. `shape`: the tracker's shapes and masses where it has them, with
+true velocities. `motion`: true shapes and poses, the tracker's velocities. `both`: the tracker's shapes and velocities. `neither`: true
+shapes, poses and velocities. In all of these frictions and restitutions are the tracker's guesses, and so are densities; `physics` is
+`neither` with recorded ones. Planes are true, but for `tracker`.
+
+Errors of positions are those of body frames, RMS over all units and captures, and the median; a start has none. `speed` and `spin` are
+errors of the tracker's velocities at the start.
 
 Needs the runtime's Python package `rigidformer`.
 """
@@ -135,8 +138,8 @@ class Scored:
                     found.setdefault((row, ahead), []).append(float(np.linalg.norm(pose[:3] - self.poses[later, unit, :3])))
             speed = [float(np.linalg.norm(seen[unit, :3] - true[unit, :3])) for unit in of]
             spin = [float(np.linalg.norm(seen[unit, 3:] - true[unit, 3:])) for unit in of]
-            found.setdefault(("speed m/s", ahead), []).extend(speed)
-            found.setdefault(("spin rad/s", ahead), []).extend(spin)
+            found.setdefault(("speed", ahead), []).extend(speed)
+            found.setdefault(("spin", ahead), []).extend(spin)
         return found
 
 

@@ -40,7 +40,7 @@ use crate::scenes::{RecordedScene, RecordedUnit};
 
 use raster::Canvas;
 
-pub use cameras::cameras;
+pub use cameras::{cameras, distance_m};
 pub use sensor::DepthNoise;
 pub use smooth::SmoothErrors;
 

@@ -65,13 +65,15 @@ pub enum ForecastError {
 pub(super) struct Forecaster {
     engine: Engine,
     model: LoadedModel,
+    /// Whether the network corrects motion.
+    network: bool,
     world: Option<World>,
     limits: Limits,
 }
 
 impl Forecaster {
-    pub(super) fn new(engine: Engine, model: LoadedModel) -> Self {
-        Forecaster { engine, model, world: None, limits: Limits { units: 0, points: 0 } }
+    pub(super) fn new(engine: Engine, model: LoadedModel, network: bool) -> Self {
+        Forecaster { engine, model, network, world: None, limits: Limits { units: 0, points: 0 } }
     }
 
     /// Predicts `steps` steps of `dt_s`; (steps, units).
@@ -131,7 +133,8 @@ impl Forecaster {
         match self.world.take() {
             Some(world) => Ok(self.world.insert(world)),
             None => {
-                let world = World::on(self.engine, &self.model, self.limits, 1)?;
+                let mut world = World::on(self.engine, &self.model, self.limits, 1)?;
+                world.set_network(self.network);
                 Ok(self.world.insert(world))
             }
         }

@@ -160,6 +160,12 @@ impl DepthView {
     }
 }
 
+impl From<capture::DepthView> for DepthView {
+    fn from(view: capture::DepthView) -> Self {
+        DepthView { view }
+    }
+}
+
 /// uint16 (height, width)
 type Image<'py> = Bound<'py, PyArrayDyn<u16>>;
 
@@ -268,6 +274,8 @@ impl Seen<'_> {
 ///     Speeds (m/s) and spins (rad/s) of units that come into view, standard deviation.
 /// seed : int
 ///     Of the search for planes.
+/// network : bool
+///     Whether the model's network corrects its motion; without it impulses alone predict.
 ///
 /// Raises
 /// ------
@@ -294,7 +302,7 @@ pub(crate) struct Tracker {
 #[pymethods]
 impl Tracker {
     #[new]
-    #[pyo3(signature = (model = None, *, segmentation = "found", planes = None, plane_physics = (0.5, 0.4), unit_physics = (0.5, 0.4), density_kg_m3 = 1000.0, gravity_m_s2 = None, completion = "fitted", model_points = 96, confirm = 2, missed = 5, hidden_s = 3.0, clusters = 128, units = 64, extents_m = (0.01, 5.0), first_velocity = (2.0, 4.0), seed = 1))]
+    #[pyo3(signature = (model = None, *, segmentation = "found", planes = None, plane_physics = (0.5, 0.4), unit_physics = (0.5, 0.4), density_kg_m3 = 1000.0, gravity_m_s2 = None, completion = "fitted", model_points = 96, confirm = 2, missed = 5, hidden_s = 3.0, clusters = 128, units = 64, extents_m = (0.01, 5.0), first_velocity = (2.0, 4.0), seed = 1, network = true))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         model: Option<&Model>,
@@ -314,6 +322,7 @@ impl Tracker {
         extents_m: (f32, f32),
         first_velocity: (f32, f32),
         #[pyo3(from_py_with = whole::seed)] seed: u64,
+        network: bool,
     ) -> PyResult<Self> {
         let mut options = TrackerOptions::default();
         // Fields are set one by one: the struct may grow and cannot be built here.
@@ -353,6 +362,7 @@ impl Tracker {
         options.extents_m = extents_m.into();
         options.first_velocity = first_velocity.into();
         options.seed = seed;
+        options.network = network;
         let tracker = held(|| tracker::Tracker::new(options))?.or_raise()?;
         Ok(Tracker { tracker: Locked::new(tracker) })
     }
@@ -441,6 +451,16 @@ impl Tracker {
         let tracker = self.tracker.lock(py)?;
         let Some(points) = tracker.shape(id) else { return Ok(None) };
         arrays::array_of_points(py, points, &[points.len()]).map(Some)
+    }
+
+    /// float: mass of a unit that the model gets, kg: that of its ``shape``'s hull at ``density_kg_m3``. None where there is no such
+    /// unit.
+    fn mass_kg(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u32,
+    ) -> PyResult<Option<f32>> {
+        Ok(self.tracker.lock(py)?.physics(id).map(|physics| physics.mass_kg))
     }
 }
 

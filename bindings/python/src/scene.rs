@@ -10,6 +10,7 @@ use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_evaluation::contact::Contact;
 use rigidformer_evaluation::pivots;
 use rigidformer_evaluation::predicted;
+use rigidformer_evaluation::render::{self, DepthNoise, Renderer};
 use rigidformer_evaluation::scenes::{
     self, RecordedBond, RecordedScene, SceneNotes, Split, scene_file, write_scene,
 };
@@ -18,11 +19,19 @@ use crate::arrays::{self, Floats, POSE};
 use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
 use crate::interrupt::{free, held};
+use crate::perception::DepthView;
 use crate::unit::{Plane, Unit, array_of_vector, law, law_of, planes, planes_of};
 use crate::whole;
 
 /// The program's, byte for byte: a source distribution holds no file of another folder that is no crate of its own.
 static EMBEDDED: &[u8] = include_bytes!("../scenes/default.safetensors");
+
+/// Columns and rows of the images of [`Scene::views`], as `rigidformer track --render` has them.
+const SIZE: [u32; 2] = [640, 480];
+/// Metres a step of them.
+const SCALE_M: f32 = 0.001;
+/// Cameras around a scene, at most.
+const MOST_CAMERAS: usize = 3;
 
 /// The recorded scenes of one file.
 ///
@@ -503,6 +512,78 @@ impl Scene {
     fn with_contact(&self, py: Python<'_>, path: PathBuf) -> PyResult<Scene> {
         let applied = free(py, || Contact::open(&path)?.applied(&self.scene))?;
         Ok(Scene { scene: applied.or_raise()? })
+    }
+
+    /// What depth cameras around the scene see, as ``rigidformer track --render`` has it: images of 640 x 480 pixels in steps of a
+    /// millimetre, with the numbers of the units, from 1 on, as labels. The same arguments give the same images.
+    ///
+    /// Parameters
+    /// ----------
+    /// time_s : float
+    ///     Seconds after the first frame.
+    /// cameras : int
+    ///     1 to 3, 120 degrees apart.
+    /// deviation_m : float
+    ///     Standard deviation of depths, as far away as the units are at first; it grows with the square of the depth.
+    /// edge_loss : float
+    ///     Share of the pixels at edges that are lost, 0 to 1.
+    /// capture : int
+    ///     Which capture of a recording it is: each has errors of its own.
+    /// seed : int
+    ///     Of all errors.
+    ///
+    /// Returns
+    /// -------
+    /// list of DepthView
+    ///     By camera.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     Nothing was recorded at that time, an argument is out of range, or a unit has no surface.
+    ///
+    /// Source: ``evaluation/src/render.rs``.
+    ///
+    /// >>> import rigidformer as rf
+    /// >>> scene = rf.Dataset.embedded().scene(0)
+    /// >>> tracker = rf.Tracker(segmentation="given", gravity_m_s2=scene.gravity_m_s2)
+    /// >>> for capture in range(3):
+    /// ...     views = scene.views(capture / 30, cameras=2, capture=capture)
+    /// ...     estimate = tracker.observe(capture / 30, views)
+    /// >>> len(views), len(estimate.units) > 0
+    /// (2, True)
+    #[pyo3(signature = (time_s, *, cameras = 1, deviation_m = 0.001, edge_loss = 0.3, capture = 0, seed = 1))]
+    #[expect(clippy::too_many_arguments, reason = "Python's are named")]
+    fn views(
+        &self,
+        py: Python<'_>,
+        time_s: f64,
+        #[pyo3(from_py_with = whole::cameras)] cameras: usize,
+        deviation_m: f32,
+        edge_loss: f32,
+        #[pyo3(from_py_with = whole::capture)] capture: u64,
+        #[pyo3(from_py_with = whole::seed)] seed: u64,
+    ) -> PyResult<Vec<DepthView>> {
+        if !(1..=MOST_CAMERAS).contains(&cameras) {
+            return Err(input(format!("cameras is {cameras}; give 1 to {MOST_CAMERAS}")));
+        }
+        if !(0.0..=1.0).contains(&deviation_m) {
+            return Err(input(format!("deviation_m is {deviation_m}; give metres from 0 to 1")));
+        }
+        let placed = held(|| render::cameras(&self.scene, SIZE, cameras))?.or_raise()?;
+        let away_m = render::distance_m(&self.scene, &placed).max(1e-3);
+        let deviation_at_1m_m = deviation_m / (away_m * away_m);
+        let noise = DepthNoise { deviation_at_1m_m, edge_loss, seed };
+        let views = free(py, || {
+            let renderer = Renderer::new(&self.scene)?;
+            let seen = placed.iter().enumerate().map(|(index, camera)| {
+                // Each image has a stream of its own.
+                let stream = capture.wrapping_mul(cameras as u64).wrapping_add(index as u64);
+                renderer.view(camera, time_s, SCALE_M, &noise, stream)
+            });
+            seen.collect::<Result<Vec<_>, _>>()
+        })?;
+        Ok(views.or_raise()?.into_iter().map(DepthView::from).collect())
     }
 
     /// float32 (frames, size), or None where it has no commands. Read-only.

@@ -39,7 +39,7 @@ macro_rules! whole {
 }
 
 whole! {
-    a_step active_units approach body bonds clusters commands confirm copy count degenerate_units frame frames futures height hold id
+    a_step active_units approach body bonds cameras capture clusters commands confirm copy count degenerate_units frame frames futures height hold id
     index iterations last last_frame limit memory missed model_points pair pairs parent passed plane points quarantined_units seed size step
     steps targets threads unit units unusable which width
 }

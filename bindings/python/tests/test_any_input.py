@@ -225,6 +225,9 @@ def sound_calls(nano, scene, folder, random):
         }),
         "Scene.points": (scene.points, {"frame": 1}),
         "Scene.pivots": (scene.pivots, {"last": 10}),
+        "Scene.views": (scene.views, {
+            "time_s": 0.0, "cameras": 1, "deviation_m": 0.001, "edge_loss": 0.3, "capture": 0, "seed": 1,
+        }),
         "Scene.save": (
             scene.save, {"path": folder / "saved.safetensors", "dataset": "d", "provenance": "p", "licence": "l"}
         ),
@@ -333,11 +336,12 @@ def sound_calls(nano, scene, folder, random):
             "model": nano, "segmentation": "found", "planes": [plane], "plane_physics": (0.5, 0.4), "unit_physics": (0.5, 0.4),
             "density_kg_m3": 1e3, "gravity_m_s2": np.ones(3, f32), "completion": "fitted", "model_points": 96, "confirm": 2,
             "missed": 5, "hidden_s": 3.0, "clusters": 8, "units": 8, "extents_m": (0.01, 5.0), "first_velocity": (2.0, 4.0),
-            "seed": 1,
+            "seed": 1, "network": True,
         }),
         "Tracker.observe": (tracker.observe, {"time_s": 0.0, "views": [rf.DepthView(camera, depth), cloud]}),
         "Tracker.predict": (tracker.predict, {"horizon_s": 0.1}),
         "Tracker.shape": (tracker.shape, {"id": 0}),
+        "Tracker.mass_kg": (tracker.mass_kg, {"id": 0}),
         "check": (rf.check, {
             "float_model": nano, "quantised": nano, "dataset": rf.Dataset.embedded(), "steps": [1], "split": "test", "limit": 1,
             "tolerances": None,

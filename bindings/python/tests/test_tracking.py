@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
@@ -38,6 +40,39 @@ def test_a_box_is_followed_and_predicted(nano):
     for horizon_s in (0, -1, float("nan"), float("inf")):
         with pytest.raises(rf.InputError, match="horizon_s"):
             tracker.predict(horizon_s)
+
+
+def test_a_scene_is_seen_and_its_units_are_completed():
+    scene = rf.Dataset.embedded().scene(0)
+    tracker = rf.Tracker(segmentation="given", gravity_m_s2=scene.gravity_m_s2, confirm=1)
+    for capture in range(3):
+        views = scene.views(capture / 30, cameras=2, deviation_m=0.001, capture=capture)
+        estimate = tracker.observe(capture / 30, views)
+    assert len(views) == 2 and 0 < len(estimate.units) <= len(scene.units)
+    for unit in estimate.units:
+        points = tracker.shape(unit.id)
+        # Of 1000 kg/m3, and no larger than the box around its points.
+        assert 0 < tracker.mass_kg(unit.id) < 1000 * np.prod(np.ptp(points, axis=0)) * 3**1.5
+    assert tracker.mass_kg(99) is None
+    again, others = scene.views(0.1, capture=3), scene.views(0.1, capture=4)
+    same = [pickle.dumps(view) == pickle.dumps(other) for view, other in zip(again * 2, scene.views(0.1, capture=3) + others)]
+    assert same == [True, False]
+    for wrong in ({"cameras": 0}, {"cameras": 4}, {"deviation_m": float("nan")}, {"edge_loss": 2.0}):
+        with pytest.raises(rf.InputError, match=next(iter(wrong)) if "edge_loss" not in wrong else "noise"):
+            scene.views(0.0, **wrong)
+    with pytest.raises(rf.InputError, match="nothing was recorded"):
+        scene.views(99.0)
+
+
+def test_the_network_is_left_out(nano):
+    ends = []
+    for network in (True, False):
+        tracker = rf.Tracker(nano, network=network)
+        for frame in range(12):
+            tracker.observe(frame / 30, [rf.DepthView(camera(), depth(40 + frame))])
+        (path,) = tracker.predict(0.25).poses.values()
+        ends.append(path[-1])
+    assert np.isfinite(ends).all() and (ends[0] != ends[1]).any()
 
 
 def test_layouts_and_labels():

@@ -82,3 +82,13 @@ pub fn cameras(
     };
     (0..count).map(camera).collect()
 }
+
+/// Mean distance of the units from the cameras' planes at the first frame, metres.
+pub fn distance_m(scene: &RecordedScene, cameras: &[Camera]) -> f32 {
+    let places = scene.poses_at(0).unwrap_or_default();
+    let depths = cameras.iter().flat_map(|camera| {
+        places.iter().filter_map(|pose| camera.pixel(&pose.translation.vector.into()))
+    });
+    let depths: Vec<f32> = depths.map(|(_, depth_m)| depth_m).collect();
+    depths.iter().sum::<f32>() / depths.len().max(1) as f32
+}

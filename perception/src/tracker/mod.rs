@@ -146,7 +146,7 @@ impl Tracker {
             Some(model) => {
                 let what = "the environment asks for kernels that this processor lacks";
                 let engine = Engine::new().map_err(|_| TrackError::Options { what })?;
-                Some(Forecaster::new(engine, model.clone()))
+                Some(Forecaster::new(engine, model.clone(), options.network))
             }
             None => None,
         };

@@ -22,6 +22,8 @@ use crate::shape::Completion;
 pub struct TrackerOptions {
     /// The motion model. Without one, units fly or lie, whichever fits better.
     pub model: Option<LoadedModel>,
+    /// Whether the model's network corrects its motion. Without it impulses alone predict.
+    pub network: bool,
     /// What separates bodies.
     pub segmentation: Segmentation,
     /// The scene's planes, at most 8; `None`: up to four are found.
@@ -62,6 +64,7 @@ impl Default for TrackerOptions {
     fn default() -> Self {
         TrackerOptions {
             model: None,
+            network: true,
             segmentation: Segmentation::Found,
             planes: None,
             plane_physics: [0.5, 0.4],

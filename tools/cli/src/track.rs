@@ -151,6 +151,7 @@ fn options(arguments: &Track, source: &mut Source) -> anyhow::Result<(TrackerOpt
         true => None,
         false => Some(defaults::model(&arguments.model)?.for_host()?),
     };
+    options.network = !arguments.no_network;
     options.segmentation = match arguments.mask {
         Some(_) => Segmentation::Given,
         None => arguments.segmentation.into(),

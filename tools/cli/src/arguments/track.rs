@@ -45,6 +45,9 @@ pub(crate) struct Track {
     /// Without a motion model: units fly or lie, and nothing is predicted
     #[arg(long, conflicts_with = "path")]
     pub(crate) no_model: bool,
+    /// Without the model's network: impulses alone predict
+    #[arg(long, conflicts_with = "no_model")]
+    pub(crate) no_network: bool,
     /// What tells bodies from each other
     #[arg(long, value_enum, default_value_t = SegmentationName::Found)]
     pub(crate) segmentation: SegmentationName,

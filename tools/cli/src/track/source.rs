@@ -4,7 +4,7 @@ use std::io::{Cursor, Read};
 use std::path::Path;
 
 use nalgebra::Vector3;
-use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras};
+use rigidformer_evaluation::render::{DepthNoise, Renderer, cameras, distance_m};
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_perception::camera::Camera;
 use rigidformer_perception::capture::{Capture, DepthView, View};
@@ -254,14 +254,4 @@ impl Rendered {
         });
         Ok(Capture { time_s, views: views.collect::<Result<_, _>>()? })
     }
-}
-
-/// Mean distance of the units from the cameras' planes at the first frame, metres.
-fn distance_m(scene: &RecordedScene, cameras: &[Camera]) -> f32 {
-    let places = scene.poses_at(0).unwrap_or_default();
-    let depths = cameras.iter().flat_map(|camera| {
-        places.iter().filter_map(|pose| camera.pixel(&pose.translation.vector.into()))
-    });
-    let depths: Vec<f32> = depths.map(|(_, depth_m)| depth_m).collect();
-    depths.iter().sum::<f32>() / depths.len().max(1) as f32
 }

@@ -84,6 +84,7 @@ impl Truth {
             let mut predictions = Vec::new();
             if let Some(model) = &options.model {
                 let mut world = self.world(model, physics)?;
+                world.set_network(options.network);
                 for (made_at_s, units) in wanted.values() {
                     predictions.extend(self.predict(&mut world, physics, *made_at_s, units)?);
                 }

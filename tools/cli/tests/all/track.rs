@@ -89,6 +89,20 @@ fn a_scene_is_seen_and_scored_as_json() {
     );
 }
 
+#[test]
+fn the_network_is_left_out_of_predictions() {
+    let predictions = |more: &[&str]| {
+        let track = ["track", SCENE, "--render", "--rate", "15", "--json"];
+        let document: Value = serde_json::from_str(&works(&[&track[..], more].concat())).unwrap();
+        document["scores"]["predictions"].clone()
+    };
+    let (with, without) = (predictions(&[]), predictions(&["--no-network"]));
+    // The tracker's, and those of the model that is told the truth.
+    for error in ["position_m", "position_told_all_m"] {
+        assert_ne!(with[0][error], without[0][error], "{error}");
+    }
+}
+
 /// The hulls of the scene's units as OBJ files.
 fn meshes(folder: &Path) -> Vec<String> {
     let scene = Dataset::open(SCENE.as_ref()).unwrap().scene(0, None).unwrap();

@@ -83,10 +83,10 @@ pub use rigidformer_weights as weights;
 #[cfg(feature = "deform")]
 pub use scene::Soft;
 pub use scene::{Compliance, Physics, Role, Unit, UnitId, UnitSlot};
-#[cfg(feature = "health")]
-pub use simulator::{Excess, Health, HealthReport, InnovationError};
 #[cfg(rigidformer_host)]
 pub use simulator::Uncorrected;
+#[cfg(feature = "health")]
+pub use simulator::{Excess, Health, HealthReport, InnovationError};
 pub use simulator::{Observation, Observed, Posed, Simulator, StepReport, UnitView, Velocity};
 pub use slabs::{Memory, SlabSizes, Slabs};
 #[cfg(feature = "deform")]

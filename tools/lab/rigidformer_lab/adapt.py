@@ -102,8 +102,6 @@ def config_of(path):
             raise AdaptError(f"{path}: has a {field} of {given[field]}, and the preset {name} {getattr(preset, field)}; give a model of that "
                              "preset")
     changes = {"scope": given.get("scope", "all"), "most_units": given.get("most_units", 0)}
-    if given.get("law"):
-        changes["law"] = given["law"]
     config = dataclasses.replace(preset, **changes)
     if config.motion != "impulses" or config.bonds:
         raise AdaptError(f"{path}: {name} does not move units by impulses alone and the network; give edge or nano")

@@ -310,8 +310,7 @@ def digest(path):
 def described(paths, config, arguments):
     """What a folder of windows is of."""
     digests = {pathlib.Path(path).name: digest(path) for path in paths}
-    law = None if config.law is None else dataclasses.asdict(config.law)
-    return {"format": FORMAT, "scenes": digests, "features": config.features, "length_m": config.length_m, "law": law, **arguments}
+    return {"format": FORMAT, "scenes": digests, "features": config.features, "length_m": config.length_m, **arguments}
 
 
 def write(folder, arrays, description):

@@ -42,7 +42,7 @@ from .recipe import MODELS
 from .roles import FREE
 from .scenes import EXTRA, TEST, TRAIN, VALIDATION, SceneFileError, read_scenes, write_scenes
 from .train import Average, draws_kept, positive
-from .train_steps import BETA_M_S, Batches, loss_of
+from .train_steps import Batches, loss_of
 from .windows import collect, described, digest
 
 LEARNT = (TRAIN, VALIDATION, EXTRA)
@@ -54,6 +54,7 @@ HEAD = "anchors.head.1."
 KINDS = ("position", "orientation")
 DEGREE = 0.8  # what a degree costs, beside a per cent of the units' size
 LEAST_COST = 0.1  # shares are of errors of so much or more
+BETA_M_S = 0.2
 WARM = 20  # updates that the learning rate rises in
 MOST_WINDOWS = 60_000
 
@@ -378,7 +379,7 @@ def adapt(args):
         raise AdaptError(f"{recording}: {error}") from None
     device = "cuda" if torch.cuda.is_available() else "cpu"
     learnt = np.flatnonzero(fold >= 0)
-    steps = args.steps or ([2] if file.unit_velocity is not None else [10])
+    steps = args.steps or ([5] if file.unit_velocity is not None else [10])
     frames = args.frames or frames_of(steps, file, config)
     count = args.windows or min(MOST_WINDOWS, 100 * len(learnt))
     arrays = collect([recording], LEARNT, config, count, frames, args.points, 0.9, args.seed, args.threads, contact=args.contact,
@@ -449,7 +450,7 @@ def main(arguments=None):
     parser.add_argument("--contact", type=pathlib.Path, metavar="FILE", help="contact's numbers, as `rigidformer calibrate` wrote them")
     parser.add_argument("--out", required=True, type=pathlib.Path, metavar="FILE.rfm", help="packed model to write, if something is gained")
     parser.add_argument("--folds", type=numbers(int, 2, 100), default=4, help="default %(default)s")
-    parser.add_argument("--steps", type=positive, nargs="+", metavar="S", help="step codes that are measured (default: of scenes with unit_velocity 2, else 10)")
+    parser.add_argument("--steps", type=positive, nargs="+", metavar="S", help="step codes that are measured (default: of scenes with unit_velocity 5, which an impact fits in, else 10)")
     parser.add_argument("--frames", type=positive, nargs="+", metavar="N", help="frames of the record that windows step (default: those of --steps, one more, one less)")
     parser.add_argument("--minutes", type=numbers(float, 0), help="training time of all folds together, at most (default: no limit)")
     parser.add_argument("--stops", type=positive, nargs="+", default=list(STOPS), metavar="N", help="updates after which folds are measured")
@@ -458,9 +459,9 @@ def main(arguments=None):
     parser.add_argument("--least", type=numbers(float, 0, 100), default=1.0, metavar="PERCENT", help="of the error that has to be kept off (default %(default)s)")
     parser.add_argument("--windows", type=positive, metavar="N", help="to learn from (default: 100 a scene)")
     parser.add_argument("--points", type=numbers(int, 5), default=32, help="a unit (default %(default)s)")
-    parser.add_argument("--slots", type=positive, default=192, help="units a batch, about (default %(default)s)")
-    parser.add_argument("--lr", type=numbers(float, 0), default=3e-4, help="default %(default)s")
-    parser.add_argument("--loss-beta", type=numbers(float, 1e-6), default=BETA_M_S, help="m/s up to which the loss is quadratic")
+    parser.add_argument("--slots", type=positive, default=128, help="units a batch, about (default %(default)s)")
+    parser.add_argument("--lr", type=numbers(float, 0), default=7e-4, help="default %(default)s")
+    parser.add_argument("--loss-beta", type=numbers(float, 1e-6), default=BETA_M_S, help="scaled m/s up to which the loss is quadratic (default %(default)s: recorded impacts scatter)")
     parser.add_argument("--noise", type=numbers(float, 0), default=0.0, metavar="M_S", help="on velocities that windows start with (default 0: a record has its own)")
     parser.add_argument("--impulse", type=numbers(float, 1e-6), default=0.1, metavar="M_S", help="what a velocity changes in a frame of impact (default %(default)s)")
     parser.add_argument("--seed", type=numbers(int, 0), default=0)

@@ -61,13 +61,17 @@ def run_line(saved) -> str:
     data = saved.get("data") or ", ".join(pathlib.Path(p).stem for p in arguments["data"]) + "; splits train and extra"
     processes = arguments.get("processes", 1)
     together = f" in each of {processes} processes" if processes > 1 else ""
+    loops, late = "single steps", []  # of `train_steps`
+    if "horizon" in arguments:
+        loops = f"horizon {horizon_text(arguments['horizon'])}"
+        late = [f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}"]
     parts = [
         data,
         f"{saved['spent'] / 60:.1f} min, {saved['updates']} updates, {saved['seen']} windows",
         f"learning rate {arguments['lr']:g} to {arguments['lr'] / 100:g}",
         "step codes " + " ".join(map(str, arguments["steps"])),
-        f"horizon {horizon_text(arguments['horizon'])}, {arguments['points']} points a unit, about {arguments['slots']} units a batch{together}",
-        f"late frames {'yes' if arguments.get('late') else 'no'}, masked {arguments.get('masked', 0):g}",
+        f"{loops}, {arguments['points']} points a unit, about {arguments['slots']} units a batch{together}",
+        *late,
         f"seed {arguments['seed']}",
     ]
     if arguments.get("join"):

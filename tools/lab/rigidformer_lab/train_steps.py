@@ -210,7 +210,10 @@ def main():
     args.run.mkdir(parents=True, exist_ok=True)
     checkpoint = args.run / "checkpoint.pt"
     saved = read_checkpoint(checkpoint, device)
-    data = [f"{name} ({digest})" for d in batches.described for name, digest in d["scenes"].items()]
+    names = ("train", "validation", "test", "extra")
+    scenes = [name for d in batches.described for name in d["scenes"]]
+    splits = sorted({names[split] for d in batches.described for split in d["splits"]})
+    data = f"windows of {', '.join(pathlib.Path(name).stem for name in scenes)}; splits {' and '.join(splits)}"
     runs, resumed = [], []
     spent, updates, seen = 0.0, 0, 0
     if saved is None:
@@ -237,7 +240,7 @@ def main():
         rng = np.random.default_rng(args.seed + updates)
         print(f"resumed {checkpoint} after {spent / 60:.1f} min, {updates} updates", file=sys.stderr)
     print(f"{config.name}: {sum(p.numel() for p in model.parameters())} parameters, {len(batches)} windows, {device}", file=sys.stderr)
-    arguments = vars(args) | {"data": data, "steps": sorted({s for d in batches.described for s in d["steps"]})}
+    arguments = vars(args) | {"data": scenes, "points": batches.rows["features"].shape[1], "steps": sorted({s for d in batches.described for s in d["steps"]})}
 
     def write():
         save(checkpoint, model=model.state_dict(), optimizer=optimizer.state_dict(), average=average.weights, average_count=average.count,

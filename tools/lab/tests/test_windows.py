@@ -10,7 +10,9 @@ import pytest
 import torch
 from conftest import needed
 
-from rigidformer_lab import train_steps, windows
+from safetensors import safe_open
+
+from rigidformer_lab import export, train_steps, windows
 from rigidformer_lab.config import PRESETS
 from rigidformer_lab.data import Dataset, state_at
 from rigidformer_lab.model import RigidFormer, transform
@@ -35,7 +37,7 @@ def scenes(tmp_path_factory):
 def collected(scenes, tmp_path_factory):
     folder = tmp_path_factory.mktemp("windows") / "w"
     arrays = windows.collect([scenes], [0], CONFIG, 150, [1, 5, 10], points=24, latest=110)
-    windows.write(folder, arrays, windows.described([scenes], CONFIG, {"steps": [1, 5, 10]}))
+    windows.write(folder, arrays, windows.described([scenes], CONFIG, {"steps": [1, 5, 10], "splits": [0]}))
     return folder, arrays
 
 
@@ -124,6 +126,11 @@ def test_a_model_learns_from_a_head_of_zeros_and_goes_on(collected, tmp_path, mo
     found = [line["validation"] for line in lines if "validation" in line]
     assert found[-1]["way_m_s"] < found[0]["way_m_s"]
     assert "resumed" in capsys.readouterr().err
+    monkeypatch.setattr(sys, "argv", ["export", str(run / "checkpoint.pt"), "--out", str(tmp_path / "model.safetensors")])
+    export.main()
+    with safe_open(tmp_path / "model.safetensors", "numpy") as file:
+        provenance = json.loads(file.metadata()["provenance"])
+    assert "windows of falling; splits train" in provenance["run 1"] and "single steps, 24 points a unit" in provenance["run 1"]
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path):

@@ -67,10 +67,10 @@ impl Trace for Inputs {
 ///
 /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
 /// // Usually from `Dataset::open(path)?.scene(index, None)?`.
-/// let fall = |frame| Isometry3::translation(0.0, 0.0, 0.3 - 5.0 * (frame as f32 / 240.0).powi(2));
-/// let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.1 } else { 0.1 });
+/// let fall = |frame| Isometry3::translation(0.0, 0.0, 0.4 - 5.0 * (frame as f32 / 240.0).powi(2));
+/// let corner = |i: i32| [1, 2, 4].map(|bit| if i & bit == 0 { -0.2 } else { 0.2 });
 /// let points = (0..8).map(|i| Point3::from(corner(i))).collect();
-/// let rubber = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+/// let rubber = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.9 };
 /// let unit = RecordedUnit::new("cube", points, rubber, (0..=60).map(fall).collect());
 /// let scene = RecordedScene::new("drop", 1, Split::Train, 240.0, Vector3::new(0.0, 0.0, -10.0), vec![unit])?;
 ///

@@ -395,8 +395,8 @@ pub struct ModelConfig {
     /// Units that the network sees.
     #[serde(skip)]
     pub scope: Scope,
-    /// Copies of more units than this are not corrected: they move by impulses alone; 0: all are. With [`Motion::Impulses`]
-    /// alone; version 10 of the format.
+    /// Copies of more units than this, and scenes whose contact law is not rigid, are not corrected: they move by impulses
+    /// alone; 0: all are. With [`Motion::Impulses`] alone; version 10 of the format.
     #[serde(skip)]
     pub most_units: u32,
 }

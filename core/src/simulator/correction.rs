@@ -62,8 +62,9 @@ impl Simulator<'_, '_> {
         self.has_network = corrects;
     }
 
-    /// Whether the network corrects motion: see [`set_network`](Self::set_network). Models leave copies of more units than their
-    /// [`most_units`](rigidformer_weights::ModelConfig::most_units) alone all the same.
+    /// Whether the network corrects motion: see [`set_network`](Self::set_network). Models that have
+    /// [`most_units`](rigidformer_weights::ModelConfig::most_units) leave copies of more units, and scenes whose
+    /// [contact law](Self::set_contact_law) is not rigid, alone all the same.
     pub fn has_network(&self) -> bool {
         self.has_network
     }
@@ -115,9 +116,10 @@ impl Simulator<'_, '_> {
         })
     }
 
-    /// Whether it does in a copy of as many units as there are.
+    /// Whether it does in a copy of as many units as there are, under the scene's contact law.
     pub(super) fn corrects(&self) -> bool {
         let most = self.model.config().most_units as usize;
-        self.has_network && (most == 0 || self.scene.per_copy <= most)
+        let is_known = self.scene.per_copy <= most && self.scene.contact_law.is_rigid();
+        self.has_network && (most == 0 || is_known)
     }
 }

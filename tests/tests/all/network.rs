@@ -117,7 +117,7 @@ fn without_the_network_impulses_are_left() {
     }
 }
 
-/// Where there are more units than a model corrects, it leaves them alone; the scene's law stays.
+/// Where there are more units than a model corrects, or the scene has a law, it leaves them alone; the law stays.
 #[test]
 fn more_units_than_a_model_corrects_are_left_alone() {
     let packed = packed("nano");
@@ -127,10 +127,13 @@ fn more_units_than_a_model_corrects_are_left_alone() {
         world.set_network(network);
         bits(&mut world, 10)
     };
-    assert_eq!(step(&of_six, LAW, 6, true), step(&any, LAW, 6, true));
+    let rigid = ContactLaw::RIGID;
+    assert_eq!(step(&of_six, rigid, 6, true), step(&any, rigid, 6, true));
+    assert_eq!(step(&of_six, rigid, 7, true), step(&any, rigid, 7, false));
+    assert_eq!(step(&of_six, LAW, 6, true), step(&any, LAW, 6, false));
+    assert_ne!(step(&any, LAW, 6, true), step(&any, LAW, 6, false));
     assert_eq!(step(&of_six, LAW, 7, true), step(&any, LAW, 7, false));
-    assert_ne!(step(&any, LAW, 7, true), step(&any, LAW, 7, false));
-    assert_ne!(step(&of_six, LAW, 7, true), step(&of_six, ContactLaw::RIGID, 7, true));
+    assert_ne!(step(&of_six, LAW, 7, true), step(&of_six, rigid, 7, true));
 }
 
 /// A law changes motion where contacts bounce, alike on all kernels, by one thread or two, also where sweeps are wide.

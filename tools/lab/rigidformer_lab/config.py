@@ -98,7 +98,7 @@ class ModelConfig:
     #: of them within the step
     scope: str = "all"
 
-    most_units: int = 0  # scenes of more units move by impulses alone, with motion "impulses" alone; 0: none do
+    most_units: int = 0  # scenes of more units, or with a contact law, move by impulses alone, with motion "impulses" alone; 0: none do
 
     def __post_init__(self):
         # Older files have other names.

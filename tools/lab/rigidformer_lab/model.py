@@ -755,9 +755,12 @@ class RigidFormer(nn.Module):
         )  # fmt: skip
 
     def corrects(self, scene: Scene):
-        """Whether each scene has as few units as the model corrects (B,)."""
+        """Whether each scene has as few units as the model corrects, and rigid contact where it has such a limit (B,)."""
         units = scene.mask.sum(1)
-        return units <= self.config.most_units if self.config.most_units else units >= 0
+        if not self.config.most_units:
+            return units >= 0
+        known = units <= self.config.most_units
+        return known if scene.law is None else known & (scene.law == 0).all(-1)
 
     def active(self, scene: Scene, state: State):
         """Units that may touch something within the step (B, M); only free ones are (section 6)."""

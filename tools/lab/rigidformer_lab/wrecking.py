@@ -142,7 +142,6 @@ class Recipe:
             licence="the licence of the rigidformer project",
             frame_rate_hz=FRAME_RATE_HZ,
             gravity_m_s2=GRAVITY_M_S2,
-            contact_law=bullet.CONTACT_LAW,
             ground_friction=FRICTION,
             ground_restitution=RESTITUTION,
         )

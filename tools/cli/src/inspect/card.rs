@@ -95,7 +95,7 @@ pub(super) fn run(file: &ModelFile<'_>, length: usize) -> anyhow::Result<()> {
     }
     if config.most_units > 0 {
         output::line(format_args!(
-            "- Scenes of more than {} units are left alone: they move without the network.",
+            "- Scenes of more than {} units, and those with a contact law, are left alone: they move without the network.",
             config.most_units
         ))?;
     }

@@ -239,7 +239,8 @@ mod tests {
         let windows = [Window { first: 30, step: 10 }];
         let told = [scene.poses_at(30).unwrap(), scene.poses_at(40).unwrap()];
         let recorded = network_inputs(engine, &model, &scene, &windows, &[]).unwrap();
-        let same = network_inputs(engine, &model, &scene, &windows, &[told.clone()]).unwrap();
+        let same =
+            network_inputs(engine, &model, &scene, &windows, std::slice::from_ref(&told)).unwrap();
         assert_eq!(recorded, same);
         let mut faster = told;
         faster[0][0].translation.z += 0.01;

@@ -80,12 +80,13 @@ pub(crate) fn network_inputs<'py>(
     }
     let units = scene.scene.units().len();
     let told = points.as_ref().and_then(|points| points.first()).map(Vec::len);
-    if let Some(points) = &points {
-        if points.len() != units || points.iter().any(|own| Some(own.len()) != told) {
-            return Err(input(format!(
-                "points: give as many numbers for each of the scene's {units} units"
-            )));
-        }
+    let misfits = |points: &Vec<Vec<usize>>| {
+        points.len() != units || points.iter().any(|own| Some(own.len()) != told)
+    };
+    if points.as_ref().is_some_and(misfits) {
+        return Err(input(format!(
+            "points: give as many numbers for each of the scene's {units} units"
+        )));
     }
     let width = config.features.len();
     let asked: Vec<_> = windows.iter().map(|&(first, step)| Window { first, step }).collect();

@@ -127,6 +127,7 @@ def sound_calls(nano, scene, folder, random):
     second = world.add(rf.Unit(cube(), role="driven"), at(x=1.0, z=1.0))
     unit, plane, pose = rf.Unit(cube()), rf.Plane([0, 0, 1]), at(z=1.0)
     start = rf.Start.of_scene(scene)
+    (folder / "contact.toml").write_text('format = "rigidformer-contact"\nversion = 1\ngravity_factor = 0.5\n')
     units = len(scene.units)
     batch = rf.BatchSimulator(nano, threads=1)
     copies = batch.copies(start, 2)
@@ -225,6 +226,7 @@ def sound_calls(nano, scene, folder, random):
         }),
         "Scene.points": (scene.points, {"frame": 1}),
         "Scene.pivots": (scene.pivots, {"last": 10}),
+        "Scene.with_contact": (scene.with_contact, {"path": folder / "contact.toml"}),
         "Scene.views": (scene.views, {
             "time_s": 0.0, "cameras": 1, "deviation_m": 0.001, "edge_loss": 0.3, "capture": 0, "seed": 1,
         }),
@@ -351,6 +353,9 @@ def sound_calls(nano, scene, folder, random):
         }),
         "free_fall": (rf.free_fall, {"scene": scene, "step": 10, "last_frame": 20}),
         "kernels": (rf.kernels, {}),
+        "network_inputs": (rf.network_inputs, {
+            "model": nano, "scene": scene, "windows": [(0, 1)], "points": None, "starts": None,
+        }),
         "pack": (rf.pack, {
             "source": MODELS / "nano-f32.rfm", "out": folder / "packed.rfm", "dtype": "i8", "wide": [], "narrow": [],
             "panels": False, "provenance": {"note": "n"}, "scope": None, "ranges": None,

@@ -203,7 +203,7 @@ pub(crate) struct Evaluate {
     pub(crate) contact: Contact,
     /// How contacts that bounce differ from rigid ones, in place of what the file says: what is added to restitutions, 0 to 1, and a
     /// pyramid of friction in place of the cone. PyBullet's is 0.03,pyramid, that of rigid contact 0 (docs/CONTACT.md); of models that
-    /// move units by impulses, with the network and without it
+    /// move units by impulses. edge and nano leave scenes with another law than rigid contact to impulses alone
     #[arg(long, value_name = "OFFSET[,pyramid]")]
     pub(crate) contact_law: Option<ContactLaw>,
     /// Step codes, with commas between [default: 1,5,10; of robots 10]

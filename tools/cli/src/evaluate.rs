@@ -235,6 +235,7 @@ fn run_metric<M: Metric>(
     let gains = without.as_ref().map(|without| gains(&figures.headlines(), &without.figures));
     // A file has one law.
     let law = arguments.contact_law.unwrap_or(dataset.contact_law());
+    let leaves_alone = !arguments.without_network && loaded.model().config().most_units > 0;
     if arguments.json {
         let mut document = figures.json(&task);
         if let Value::Object(fields) = &mut document {
@@ -257,6 +258,11 @@ fn run_metric<M: Metric>(
         figures.print(&task)?;
         if !law.is_rigid() {
             output::line(format_args!("\ncontact law {law}"))?;
+            if leaves_alone {
+                output::line(
+                    "the model leaves such scenes to impulses alone; --contact-law 0 has rigid contact",
+                )?;
+            }
         }
         if let Some(gains) = gains {
             print_gains(&gains)?;

@@ -37,10 +37,11 @@ from tqdm import tqdm
 from .config import PRESETS, ModelConfig
 from .export import runs_of, scale_head, write_model
 from .model import RigidFormer
+from .movi import write_text
 from .packed import read_provenance, read_weights
 from .recipe import MODELS
 from .roles import FREE
-from .scenes import EXTRA, TEST, TRAIN, VALIDATION, SceneFileError, read_scenes, write_scenes
+from .scenes import EXTRA, TEST, TRAIN, VALIDATION, ContactLaw, SceneFileError, read_scenes, write_scenes
 from .train import Average, draws_kept, positive
 from .train_steps import Batches, loss_of
 from .windows import collect, described, digest
@@ -251,9 +252,10 @@ def learn(config, weights, batches, args, stops, device, budget_s=None):
     model.bf16 = False
     optimizer = torch.optim.AdamW(model.parameters(), lr=args.lr, weight_decay=0.01, fused=True)
     average, rng, done = Average(model, 0.998), np.random.default_rng([args.seed, 2]), 0
-    began = time.monotonic()
+    spent = 0.0  # the caller's measurements between updates do not count
     while True:
         for batch in batches.draw(rng, args.slots):
+            began = time.monotonic()
             for group in optimizer.param_groups:
                 group["lr"] = args.lr * min(1.0, (done + 1) / WARM)
             loss = loss_of(model, batches.tensors(batch, device, rng), args.loss_beta)
@@ -264,12 +266,13 @@ def learn(config, weights, batches, args, stops, device, budget_s=None):
                 optimizer.step()
                 average.update(model)
             done += 1
+            spent += time.monotonic() - began
             if done in stops:
                 yield done, {name: values.detach().cpu().clone() for name, values in average.weights.items()}
             if done >= max(stops):
                 return
             # The first stop is always reached, so that there is something to choose from.
-            if budget_s is not None and done >= min(stops) and time.monotonic() - began > budget_s:
+            if budget_s is not None and done >= min(stops) and spent > budget_s:
                 return
 
 
@@ -366,6 +369,8 @@ def adapt(args):
         raise AdaptError("the runtime's Python package is missing; install it from bindings/python (`pip install ./bindings/python`)") from None
     if args.contact is not None and not args.contact.is_file():
         raise AdaptError(f"--contact {args.contact}: is no file; make one with `rigidformer calibrate`")
+    if args.json is not None and (not args.json.parent.is_dir() or args.json.resolve() == recording.resolve()):
+        raise AdaptError(f"--json {args.json}: cannot be written there; give another file, in a folder that exists")
     if not out.parent.is_dir():
         raise AdaptError(f"--out {out}: there is no folder {out.parent}; make it first")
     file = read_scenes(recording)
@@ -373,6 +378,10 @@ def adapt(args):
     if len({recording.resolve(), path.resolve(), out.resolve(), wide.resolve()}) < 4:
         raise AdaptError(f"--out {out}: would overwrite what is read; give another name")
     config = config_of(path)
+    units = np.diff(file.scene_units).max()
+    if config.most_units and (units > config.most_units or file.contact_law != ContactLaw()):
+        # What MODEL leaves alone is what is to be learnt.
+        config = dataclasses.replace(config, most_units=0)
     try:
         fold = folds_of(np.asarray(file.scene_split), args.folds, args.seed)
     except AdaptError as error:
@@ -473,16 +482,14 @@ def main(arguments=None):
         torch.set_num_threads(args.threads)
     try:
         report = adapt(args)
-    except (AdaptError, SceneFileError, OSError) as error:
+    except (AdaptError, SceneFileError, OSError, ValueError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted: nothing is written", file=sys.stderr)
         return 130
     if args.json:
-        part = args.json.with_name(f".{args.json.name}.part")
-        part.write_text(json.dumps(report, indent=1) + "\n")
-        os.replace(part, args.json)
+        write_text(args.json, json.dumps(report, indent=1) + "\n")
     print(report["verdict"] + (f", {report['written'][0]} and {report['written'][1]}" if report["written"] else ""))
     return 0
 

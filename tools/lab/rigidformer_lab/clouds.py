@@ -32,7 +32,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from .movi import _terminate, generate, shards_of
-from .scenes import SPLIT_NAMES, SceneFileError, Scenes, read_scenes
+from .scenes import SPLIT_NAMES, ContactLaw, SceneFileError, Scenes, read_scenes
 
 RATE_HZ = 30.0  # captures a second, as `rigidformer track --render` has them
 MOST_CAMERAS = 3
@@ -207,7 +207,8 @@ class Recipe:
         if file.shape_pieces is not None:
             more["shape_pieces"] = np.concatenate([file.shape_pieces, np.full(len(of), file.shape_pieces[-1])])
         if self.physics == "track":
-            more |= {"unit_physics": np.concatenate([shard.unit_physics for shard in shards]), "unit_inertia": None}
+            # The tracker knows no law of contact.
+            more |= {"unit_physics": np.concatenate([shard.unit_physics for shard in shards]), "unit_inertia": None, "contact_law": ContactLaw()}
             if scenes.planes is None:
                 more |= {"ground_friction": FRICTION, "ground_restitution": RESTITUTION}
             else:

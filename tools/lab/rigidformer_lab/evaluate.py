@@ -32,7 +32,7 @@ def angle_deg(a, b):
     return torch.rad2deg(2 * torch.atan2(s, (1 - s.square()).clamp(min=0).sqrt()))
 
 
-def opened(path, split, frames, limit, points, anchors_seed):
+def opened(path, split, frames, limit, points, anchors_seed, rigid=False):
     """The data set of an evaluation; its draws are the same every time."""
     dataset = Dataset([path], [split], last_frame=max(frames), limit=limit, anchors_seed=anchors_seed)
     if dataset.worlds.frames.min() <= max(frames):
@@ -40,6 +40,8 @@ def opened(path, split, frames, limit, points, anchors_seed):
                          "longer scenes")
     if points:
         dataset.refresh_subsets(points)
+    if rigid:
+        dataset.worlds.law[:] = 0
     return dataset
 
 
@@ -85,9 +87,9 @@ def means(parts, scenes, steps, frames):
     return {key: [round(v / scenes, 4) for v in mean] for key, mean in out.items()}
 
 
-def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, device="cpu", points=64, anchors_seed=None):
-    """HopNet-protocol errors over free units: {"s10@100": [position m, orientation deg], ...}."""
-    dataset = opened(path, split, frames, limit, points, anchors_seed)
+def evaluate(model, path, split=1, steps=(5, 10), frames=(50, 100), limit=None, device="cpu", points=64, anchors_seed=None, rigid=False):
+    """HopNet-protocol errors over free units: {"s10@100": [position m, orientation deg], ...}. rigid: whatever law of contact the scenes have."""
+    dataset = opened(path, split, frames, limit, points, anchors_seed, rigid)
     parts = []
     for s, horizon, w, rows in batches(dataset, steps, frames):
         tensors = dataset.tensors(w, rows, horizon, points, False, device)

@@ -68,6 +68,8 @@ def opened(path) -> tuple[Cursor, bytes]:
     if version > 6:  # bonds
         cursor.varint()
     if has_rules:  # scope, five bytes that are kept free, most units
+        if any(cursor.data[cursor.at + 1 : cursor.at + 6]):
+            raise ValueError("the model has a contact law, which is that of scenes now; train it again")
         cursor.at += 1 + 5
         cursor.varint()
     if ranged:  # what training saw

@@ -23,7 +23,7 @@ WRECKING = ((27, 200), (64, 60))
 STEPS = ("1", "2", "3", "5", "7", "10", "10")
 #: Half of what is learned is better on validation scenes: impulses are right where the data's engine is not (docs/ACCURACY.md).
 HEAD_SCALE = "0.5"
-TRAINING = ("--horizon", "3", "--slots", "192", "--steps", *STEPS)
+TRAINING = ("--rigid", "--horizon", "3", "--slots", "192", "--steps", *STEPS)
 #: Layers that `pack` narrows to int8 beside those that it takes, and the learning rate.
 MODELS = {"edge": ((), "1.5e-3"), "nano": (("encoder.point.0", "anchors.head.1"), "2e-3"), "edge-paper-inputs": ((), "1.5e-3")}
 

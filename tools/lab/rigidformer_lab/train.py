@@ -274,6 +274,7 @@ def main():
     parser.add_argument("--late", action=argparse.BooleanOptionalAction, default=True,
                         help="take long scenes' later frames too, where bodies land and rest")  # fmt: skip
     parser.add_argument("--masked", type=float, default=0.25, help="share of the scenes whose units lack points")
+    parser.add_argument("--rigid", action="store_true", help="take contact as rigid, whatever law the scenes have")
     parser.add_argument("--join", action="store_true",
                         help="hold the parts of a body together at pivots in the loop, as `rigidformer evaluate --join` does")
     parser.add_argument("--bond-slots", type=positive, default=8, help="of models with bonds: single steps an update that say what breaks")
@@ -318,6 +319,11 @@ def main():
         config = ModelConfig.from_json(json.dumps({**dataclasses.asdict(PRESETS[args.preset]), **args.config}))
     except (TypeError, ValueError) as error:
         parser.error(f"--config: {error}")
+    if args.rigid:
+        dataset.worlds.law[:] = 0
+    if config.most_units and dataset.worlds.law.any():
+        parser.error(f"{config.name} leaves scenes with a contact law alone, and --data has some; learn over rigid contact by --rigid, or over "
+                     "the law by --config '{\"most_units\": 0}'")
     if config.command_size != dataset.command_size:
         parser.error(f"{config.name} takes commands of {config.command_size} numbers, --data has commands of "
                      f"{dataset.command_size}; set command_size by --config, or give other scenes")
@@ -480,7 +486,7 @@ def validate(config: ModelConfig, average, args, log, device, spent):
         round_layers(model, args.f16_layers)
     for path in args.data:
         try:
-            rows = evaluate(model, path, split=1, limit=40, device=device, points=64)
+            rows = evaluate(model, path, split=1, limit=40, device=device, points=64, rigid=args.rigid)
         except SystemExit:
             continue  # a part of extra seeds has no validation scenes
         line = {"min": round(spent / 60, 2), "validation": path.stem, **rows}

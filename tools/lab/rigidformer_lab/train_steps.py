@@ -174,6 +174,7 @@ def main():
     parser.add_argument("--preset", default="edge", choices=PRESETS)
     parser.add_argument("--config", type=json.loads, default={}, metavar="JSON", help="fields of the preset to change")
     parser.add_argument("--minutes", type=float, default=20, help="training time of the whole run, resumed parts added")
+    parser.add_argument("--updates", type=positive, help="end after so many updates, whatever time they take")
     parser.add_argument("--slots", type=positive, default=384, help="units a batch, about")
     parser.add_argument("--lr", type=float, default=1e-3)
     parser.add_argument("--decay", type=float, default=0.998, help="of the averaged weights")
@@ -205,6 +206,11 @@ def main():
     if any(d["length_m"] != config.length_m for d in batches.described):
         parser.error(f"{config.name} measures scenes in lengths of {config.length_m} m, and the windows are of another model; make them with "
                      f"--preset {args.preset}")
+    if config.most_units and (laws := sorted({law for d in batches.described for law in d["laws"]})):
+        parser.error(f"{config.name} leaves scenes with a contact law alone, and the windows have {', '.join(laws)}; learn over it by "
+                     "--config '{\"most_units\": 0}', or make windows with --rigid")
+    if not len(batches):
+        parser.error(f"no window has {MOST_ROWS} units or less; give windows of smaller scenes")
     model = RigidFormer(config).initialise().to(device)
     model.bf16 = args.bf16
     args.run.mkdir(parents=True, exist_ok=True)
@@ -268,11 +274,11 @@ def main():
     bar = tqdm(total=round(args.minutes, 2), disable=not sys.stderr.isatty(), unit="min")
     budget, mean = args.minutes * 60, None
     since_checkpoint = since_validation = since_line = 0.0
-    while spent < budget and not stopped:
+    progress = lambda: min(updates / args.updates if args.updates else spent / budget, 1.0)  # noqa: E731
+    while progress() < 1 and not stopped:
         for batch in batches.draw(rng, args.slots):
             began = time.monotonic()
-            progress = min(spent / budget, 1.0)
-            lr = args.lr * min(1.0, (updates + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+            lr = args.lr * min(1.0, (updates + 1) / 200) * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress())))
             for group in optimizer.param_groups:
                 group["lr"] = lr
             loss = loss_of(model, batches.tensors(batch, device, rng), args.loss_beta)
@@ -296,7 +302,7 @@ def main():
             if since_validation > args.validate_minutes * 60:
                 since_validation = 0.0
                 check()
-            if spent >= budget or stopped:
+            if progress() >= 1 or stopped:
                 break
     write()
     if stopped:

@@ -32,6 +32,7 @@ from .data import IMPULSE_M_S, LAST_FRAME, Dataset
 from .geometry import quaternion_to_matrix
 from .model import ANCHORS, FEATURE_CLAMP
 from .roles import FREE
+from .scenes import ContactLaw, SceneFileError, read_scenes, write_scenes
 
 #: The runtime gives inputs times this, so that it cuts none off: its limit is 10.
 SCALE = 0.01
@@ -241,11 +242,25 @@ def chosen_points(dataset, scene, count, rng):
     return np.stack(out)
 
 
+def refuse(folder, paths):
+    """Refuses to write windows where something else is."""
+    folder = pathlib.Path(folder).resolve()
+    if not folder.name:
+        raise SystemExit(f"--out {folder}: has no name; give a folder that is not there")
+    own = {"windows.json", *(f"{name}.npy" for name in (*ROW, *WINDOW, "scene"))}
+    for place in (folder, folder.with_name(folder.name + ".parts")):
+        if place.exists() and (not place.is_dir() or {entry.name for entry in place.iterdir()} - own):
+            raise SystemExit(f"--out {folder}: {place} holds something else; give a folder that is not there")
+    for path in paths:
+        if not pathlib.Path(path).is_file():
+            raise SystemExit(f"{path}: is no file; give scene files")
+
+
 def collect(paths, splits, config, count, steps, points=32, contact_share=0.9, seed=0, threads=None, latest=LAST_FRAME, limit=None,
-            contact=None, whole=False, noise_m_s=0.0, impulse_m_s=IMPULSE_M_S):  # fmt: skip
+            contact=None, whole=False, noise_m_s=0.0, impulse_m_s=IMPULSE_M_S, rigid=False):  # fmt: skip
     """Arrays of about so many windows of scene files, a dictionary: those of `ROW` and `WINDOW`, and `scene`, the number of each window's
     scene among all. Draws depend on the scenes and the seed, not on threads. `contact`: a file of contact's numbers, which scenes take.
-    `whole`: impacts are. `impulse_m_s`: what a velocity changes in a frame of impact; what lies still is pushed too, against gravity."""
+    `whole`: impacts are. `rigid`: contact is, whatever law the scenes have. `impulse_m_s`: what a velocity changes in a frame of impact; what lies still is pushed too, against gravity."""
     import rigidformer
 
     parts, base = [], 0
@@ -259,6 +274,10 @@ def collect(paths, splits, config, count, steps, points=32, contact_share=0.9, s
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         model = look(config, folder)
         for part, (path, dataset) in enumerate(zip(paths, datasets)):
+            if rigid and read_scenes(path).contact_law != ContactLaw():
+                plain = pathlib.Path(folder) / f"{part}.safetensors"
+                write_scenes(plain, dataclasses.replace(read_scenes(path), contact_law=ContactLaw()))
+                path = plain
             file = rigidformer.Dataset(path)
             names = {0: "train", 1: "validation", 2: "test", 3: "extra"}
             numbers = sorted(n for split in splits for n in file.scenes_of(names[split]))[:limit]
@@ -310,7 +329,8 @@ def digest(path):
 def described(paths, config, arguments):
     """What a folder of windows is of."""
     digests = {pathlib.Path(path).name: digest(path) for path in paths}
-    return {"format": FORMAT, "scenes": digests, "features": config.features, "length_m": config.length_m, **arguments}
+    laws = [] if arguments.get("rigid") else sorted({str(read_scenes(path).contact_law) for path in paths} - {str(ContactLaw())})
+    return {"format": FORMAT, "scenes": digests, "laws": laws, "features": config.features, "length_m": config.length_m, **arguments}
 
 
 def write(folder, arrays, description):
@@ -346,7 +366,8 @@ def main():
     parser.add_argument("--steps", type=int, nargs="+", default=[1, 2, 3, 5, 7, 10, 10], help="frames a step; repeat one to weigh it")
     parser.add_argument("--points", type=int, default=32, help="points a unit (default %(default)s)")
     parser.add_argument("--contacts", type=float, default=0.9, help="share of the windows in which a unit is pushed (default %(default)s)")
-    parser.add_argument("--preset", default="edge", help="model whose inputs they are (default %(default)s)")
+    parser.add_argument("--rigid", action="store_true", help="take contact as rigid, whatever law the scenes have")
+    parser.add_argument("--preset", default="edge", choices=PRESETS, help="model whose inputs they are (default %(default)s)")
     parser.add_argument("--config", type=json.loads, default={}, metavar="JSON", help="fields of the preset to change")
     parser.add_argument("--splits", type=int, nargs="+", default=[0, 3], choices=(0, 1, 3), help="0 train, 1 validation, 3 extra (default 0 3)")
     parser.add_argument("--last-frame", type=int, default=LAST_FRAME, help="last frame of a scene that is learnt from (default %(default)s)")
@@ -369,18 +390,30 @@ def main():
         import rigidformer  # noqa: F401
     except ImportError:
         parser.error("the runtime's Python package is missing; install it from bindings/python (`pip install ./bindings/python`)")
-    names = ("count", "steps", "points", "contacts", "splits", "last_frame", "limit", "seed", "impacts", "noise", "impulse")
+    names = ("count", "steps", "points", "contacts", "splits", "last_frame", "limit", "seed", "impacts", "noise", "impulse", "rigid")
     arguments = {name: getattr(args, name) for name in names}
     if args.contact:
         if not args.contact.is_file():
             parser.error(f"--contact {args.contact}: is no file; make one with `rigidformer calibrate`")
         arguments["contact"] = digest(args.contact)
+    refuse(args.out, args.data)
+    try:
+        made(args, config, arguments)
+    except (SceneFileError, ValueError) as error:
+        raise SystemExit(f"error: {error}") from error
+    except KeyboardInterrupt:
+        print("interrupted: nothing is written", file=sys.stderr)
+        raise SystemExit(130) from None
+
+
+def made(args, config, arguments):
+    """Collects and writes what `main` was asked for."""
     description = described(args.data, config, arguments)
     if (args.out / "windows.json").exists() and json.loads((args.out / "windows.json").read_text()) == description:
         print(f"{args.out} is there already, of the same scenes and arguments", file=sys.stderr)
         return
     arrays = collect(args.data, args.splits, config, args.count, args.steps, args.points, args.contacts, args.seed, args.threads,
-                     args.last_frame, args.limit, args.contact, args.impacts == "whole", args.noise, args.impulse)  # fmt: skip
+                     args.last_frame, args.limit, args.contact, args.impacts == "whole", args.noise, args.impulse, args.rigid)  # fmt: skip
     write(args.out, arrays, description)
     print(f"{len(arrays['code'])} windows of {len(arrays['share'])} units", file=sys.stderr)
 

@@ -115,10 +115,10 @@ def test_a_model_learns_from_a_head_of_zeros_and_goes_on(collected, tmp_path, mo
              "film_width": 8, "scales": [0, 2], "registers": 2}  # fmt: skip
     command = ["train_steps", str(collected[0]), "--validation", str(collected[0]), "--run", str(run), "--config", json.dumps(small),
                "--lr", "3e-3", "--no-bf16", "--slots", "64", "--threads", "1"]  # fmt: skip
-    monkeypatch.setattr(sys, "argv", [*command, "--minutes", "0.05"])
+    monkeypatch.setattr(sys, "argv", [*command, "--updates", "40"])
     train_steps.main()
     saved = torch.load(run / "checkpoint.pt", weights_only=False)
-    monkeypatch.setattr(sys, "argv", [*command, "--minutes", "0.25"])
+    monkeypatch.setattr(sys, "argv", [*command, "--updates", "200"])
     train_steps.main()
     after = torch.load(run / "checkpoint.pt", weights_only=False)
     assert after["updates"] > saved["updates"]

@@ -76,6 +76,8 @@ class Scored:
             guess = [self.rf.Plane(p.normal, p.offset_m, FRICTION, RESTITUTION) for p in self.scene.planes]
             world.planes = list(self.scene.planes) if recorded else guess
         world.gravity_m_s2 = self.scene.gravity_m_s2
+        if recorded:
+            world.contact_law = self.scene.contact_law
         poses = np.asarray(poses, np.float32)
         world.observe_poses(STEP_S, units, poses, poses)
         if velocities is not None:

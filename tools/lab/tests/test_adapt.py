@@ -1,6 +1,7 @@
 """Adapting to a few recorded scenes: written where it pays, and only there."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -67,7 +68,7 @@ def run(recording, out, *more):
 
 @pytest.fixture
 def program():
-    if shutil.which("rigidformer") is None:
+    if shutil.which("rigidformer") is None and not os.environ.get("RIGIDFORMER_COMPLETE"):
         pytest.skip("the program rigidformer is not on the PATH")
 
 

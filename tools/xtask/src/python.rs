@@ -91,7 +91,7 @@ pub(crate) fn wheel(report: &mut Report) -> Result<()> {
 }
 
 /// The program as the tests build it, with all its features; beside it are examples. After the tests there is nothing to build.
-fn program() -> Result<PathBuf> {
+pub(crate) fn program() -> Result<PathBuf> {
     shown(cargo().args(["test", "--workspace", "--no-run", "--quiet"]))?;
     Ok(target().canonicalize()?.join("debug/rigidformer"))
 }

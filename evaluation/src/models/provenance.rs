@@ -80,8 +80,8 @@ fn kept(file: &ModelFile<'_>) -> Option<Ranges> {
     file.ranges().copied()
 }
 
-/// A packed model with more figures, such as errors and what they are without the network; one replaces another of its name. Errors
-/// call the model `name`. Everything else stays, tensors byte for byte.
+/// A packed model with these figures in place of its own, such as errors and what they are without the network: those of before may
+/// be of other code. Of two of one name the last counts. Errors call the model `name`. Everything else stays, tensors byte for byte.
 ///
 /// # Errors
 /// As [`with_provenance`]; [`PackError::Write`] where a figure is not finite.
@@ -90,7 +90,7 @@ pub fn with_metrics(
     packed: &[u8],
     metrics: &[(String, f32)],
 ) -> Result<Vec<u8>, PackError> {
-    written(name, packed, Additions { entries: &[], metrics }, |config| config, kept)
+    written(name, packed, Changes { entries: &[], metrics: Some(metrics) }, |config| config, kept)
 }
 
 /// The same model with more provenance, another configuration and other ranges.
@@ -101,20 +101,22 @@ fn rewritten(
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
-    written(name, packed, Additions { entries, metrics: &[] }, change, ranges)
+    written(name, packed, Changes { entries, metrics: None }, change, ranges)
 }
 
-/// What a model is to say besides.
-struct Additions<'a> {
+/// What a model is to say.
+struct Changes<'a> {
+    /// Besides its own.
     entries: &'a [(String, String)],
-    metrics: &'a [(String, f32)],
+    /// In place of its own.
+    metrics: Option<&'a [(String, f32)]>,
 }
 
-/// As [`rewritten`], with more figures too.
+/// As [`rewritten`], with other figures too.
 fn written(
     name: &Path,
     packed: &[u8],
-    Additions { entries, metrics }: Additions<'_>,
+    Changes { entries, metrics }: Changes<'_>,
     change: impl Fn(ModelConfig) -> ModelConfig,
     ranges: impl Fn(&ModelFile<'_>) -> Option<Ranges>,
 ) -> Result<Vec<u8>, PackError> {
@@ -135,13 +137,11 @@ fn written(
             writer = writer.provenance(key, value);
         }
     }
-    for (metric, value) in file.metrics() {
-        let newer = metrics.iter().rev().find(|(newer, _)| newer == metric);
-        writer = writer.metric(metric, newer.map_or(value, |(_, value)| *value));
-    }
+    let own = || file.metrics().map(|(metric, value)| (metric.to_owned(), value)).collect();
+    let metrics: Vec<(String, f32)> = metrics.map_or_else(own, <[_]>::to_vec);
     for (number, (metric, value)) in metrics.iter().enumerate() {
         let later = metrics.iter().skip(number + 1).any(|(later, _)| later == metric);
-        if !later && !file.metrics().any(|(known, _)| known == metric) {
+        if !later {
             writer = writer.metric(metric, *value);
         }
     }

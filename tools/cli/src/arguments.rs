@@ -389,8 +389,8 @@ pub(crate) struct Pack {
     /// files, or taken over from one other packed model: by it a runtime tells units that are unlike them
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope"])]
     pub(crate) ranges: Vec<PathBuf>,
-    /// Keep the packed model IN as it is but for its figures: the headlines of these outputs of `rigidformer evaluate --json`, with the
-    /// network and without it; `rigidformer inspect --card` shows them
+    /// Keep the packed model IN as it is but for its figures, which become the headlines of these outputs of `rigidformer evaluate --json`,
+    /// with the network and without it; `rigidformer inspect --card` shows them
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["random", "panels", "dtype", "wide", "narrow", "provenance", "scope", "ranges"])]
     pub(crate) metrics: Vec<PathBuf>,
     /// Write the packed model IN as a C header, for firmware in C or C++

@@ -1,6 +1,7 @@
 //! Tables of figures: `docs/tables/<page>/<name>.json` becomes the part of `docs/<PAGE>.md` between
 //! `<!-- table: <name> -->` and `<!-- /table -->`.
 
+mod models;
 mod source;
 
 use std::collections::BTreeMap;
@@ -12,6 +13,7 @@ use clap::Args;
 use serde::Deserialize;
 
 use crate::sources::files;
+use models::Models;
 use source::Source;
 
 const PAGES: &str = "docs";
@@ -59,6 +61,8 @@ pub(crate) fn check() -> Result<()> {
     }
     Ok(())
 }
+
+const NEEDED: &str = "either columns, rows, date and commit are needed, or a source, or models";
 
 struct Page {
     path: String,
@@ -154,6 +158,8 @@ struct Table {
     commit: Option<String>,
     /// In place of the four above: another file of the repository, which CI compares with what it measures.
     source: Option<Source>,
+    /// Likewise: models that ship, and which of their figures.
+    models: Option<Models>,
     /// What prints the figures.
     command: Vec<String>,
     machine: String,
@@ -181,7 +187,11 @@ impl Table {
                 let when = format!("`{}` at this commit", source.file);
                 (source.titles(), source.rows()?, when)
             }
-            _ => bail!("either columns, rows, date and commit are needed, or a source"),
+            (None, None, None) if self.columns.is_empty() && self.rows.is_empty() => {
+                let models = self.models.as_ref().context(NEEDED)?;
+                (Models::titles(), models.rows()?, "the files at this commit".to_owned())
+            }
+            _ => bail!(NEEDED),
         };
         if let Some(row) = rows.iter().find(|row| row.len() != columns.len()) {
             bail!("{} columns, and a row of {}: {row:?}", columns.len(), row.len());

@@ -438,7 +438,8 @@ fn what_a_network_is_worth_is_shown_and_kept() {
     ] {
         assert!(card.contains(part), "{part}: {card}");
     }
-    assert!(works(&["inspect", NANO, "--card"]).contains("not compared with the same motion"));
+    // Figures of before may be of other code.
+    assert!(!card.contains("movi-a"), "{card}");
 
     let refused = |arguments: &[&str], what: &str| {
         let out = run(arguments);

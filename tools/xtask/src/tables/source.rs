@@ -64,7 +64,7 @@ impl Source {
 }
 
 /// Numbers by section and key. A key `a.b` outside of sections is `b` of section `a`.
-fn sections(text: &str) -> Result<BTreeMap<String, BTreeMap<String, f64>>> {
+pub(super) fn sections(text: &str) -> Result<BTreeMap<String, BTreeMap<String, f64>>> {
     let mut sections: BTreeMap<String, BTreeMap<String, f64>> = BTreeMap::new();
     for (name, value) in text.parse::<toml::Table>()? {
         let mut put = |section: &str, key: &str, value: &toml::Value| {

@@ -1,0 +1,27 @@
+//! Robots for RigidFormer: a URDF or MJCF file with its meshes becomes links, joints and a scene.
+//!
+//! | module | does |
+//! |---|---|
+//! | [`load_robot`] | a file to a [`Robot`]: links with mass, inertia and surface, and the joints between them |
+//! | [`Robot::poses`] | where all links are at joint positions |
+//!
+//! Lengths are metres, masses kilograms, angles radians, z up, whatever a file's own units are.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used, clippy::panic))]
+
+mod describe;
+mod error;
+mod inertia;
+mod merge;
+mod meshes;
+mod mjcf;
+mod robot;
+mod solid;
+mod tree;
+mod urdf;
+mod xml;
+
+pub use error::{Problem, RobotError};
+pub use inertia::Inertia;
+pub use robot::{
+    JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, load_robot, load_robot_with, parse_robot,
+};

@@ -38,7 +38,9 @@ pub enum RobotError {
         problem: Problem,
     },
     /// Joint positions of another number than the robot has.
-    #[error("{found} joint positions are given; the robot {robot:?} has {expected}, see Robot::rest")]
+    #[error(
+        "{found} joint positions are given; the robot {robot:?} has {expected}, see Robot::rest"
+    )]
     Positions {
         /// The robot.
         robot: String,
@@ -48,7 +50,9 @@ pub enum RobotError {
         expected: usize,
     },
     /// A position that is no number, or a quaternion of length 0.
-    #[error("position {index} is no position of its joint; give finite numbers, and quaternions of length 1")]
+    #[error(
+        "position {index} is no position of its joint; give finite numbers, and quaternions of length 1"
+    )]
     Position {
         /// Which, from 0.
         index: usize,

@@ -25,7 +25,11 @@ impl Inertia {
     pub fn moved(&self, pose: &Isometry3<f64>) -> Self {
         let turn = pose.rotation.to_rotation_matrix();
         let turned = turn.matrix() * self.about_centre * turn.matrix().transpose();
-        Self { mass_kg: self.mass_kg, centre_m: pose * self.centre_m, about_centre: symmetric(&turned) }
+        Self {
+            mass_kg: self.mass_kg,
+            centre_m: pose * self.centre_m,
+            about_centre: symmetric(&turned),
+        }
     }
 
     /// Of several bodies in one frame.
@@ -65,28 +69,38 @@ impl Inertia {
         if !self.about_centre.iter().all(|moment| moment.is_finite()) {
             return Some(Problem::Inertia("its inertia is too large to count with; mend it"));
         }
-        let [least, middle, most] = self.principal_moments();
+        let [least, _, most] = self.principal_moments();
         if least < -BELOW * most.abs().max(f64::MIN_POSITIVE) {
             return Some(Problem::Inertia(
-                "a principal moment of its inertia is below 0; give moments about the centre of mass",
-            ));
-        }
-        if most > (least + middle) * (1.0 + ROUNDING) + f64::MIN_POSITIVE {
-            return Some(Problem::Inertia(
-                "a principal moment is above the sum of the others, as of no body; mend its inertia, or have it balanced (--balance)",
+                "a principal moment of its inertia is below 0; give moments about the centre of mass, or have them balanced (--balance)",
             ));
         }
         None
     }
 
+    /// Whether a body may have it: no principal moment is below 0, or above the sum of the others.
+    pub fn is_of_a_body(&self) -> bool {
+        let [least, middle, most] = self.principal_moments();
+        self.problem().is_none() && most <= (least + middle) * (1.0 + ROUNDING) + f64::MIN_POSITIVE
+    }
+
     /// As a body that has these moments nearly: where one is above the sum of the others, or below 0, all are their mean.
     pub(crate) fn balanced(&self) -> Self {
         let mean = self.about_centre.trace().abs() / 3.0;
-        match self.problem() {
-            Some(_) => Self { about_centre: Matrix3::identity() * mean, ..*self },
-            None => *self,
+        match self.is_of_a_body() {
+            true => *self,
+            false => Self { about_centre: Matrix3::identity() * mean, ..*self },
         }
     }
+}
+
+/// What to note of a link whose inertia no body has.
+pub(crate) fn doubt(link: &str, is_balanced: bool) -> String {
+    let then = match is_balanced {
+        true => "it was balanced",
+        false => "it stays as it is, and units have that of a box; --balance mends it",
+    };
+    format!("{link}: a moment of its inertia is above the sum of the others, as of no body: {then}")
 }
 
 /// The nearest symmetric matrix: rounding leaves products that differ.

@@ -28,7 +28,8 @@ mod xml;
 pub use error::{Problem, RobotError};
 pub use inertia::Inertia;
 pub use robot::{
-    JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, load_robot, load_robot_with, parse_robot,
+    JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, load_robot, load_robot_with,
+    parse_robot,
 };
 pub use scene::{RobotScene, SceneOptions};
 pub use sets::{MeshSetOptions, load_meshes};

@@ -12,12 +12,16 @@ pub(crate) fn fixed(robot: Robot) -> Robot {
     // (links) The link that it is a part of, and its frame there.
     let mut owner: Vec<usize> = (0..robot.links.len()).collect();
     for joint in &robot.joints {
-        let (Some(above), Some(frame)) = (owner.get(joint.parent).copied(), poses.get(joint.parent).copied()) else {
+        let (Some(above), Some(frame)) =
+            (owner.get(joint.parent).copied(), poses.get(joint.parent).copied())
+        else {
             continue;
         };
         // The world itself is no body that others may become a part of.
         let merges = joint.kind == JointKind::Fixed && !(robot.is_in_world && above == 0);
-        if let (true, Some(own), Some(pose)) = (merges, owner.get_mut(joint.child), poses.get_mut(joint.child)) {
+        if let (true, Some(own), Some(pose)) =
+            (merges, owner.get_mut(joint.child), poses.get_mut(joint.child))
+        {
             *own = above;
             *pose = frame * joint.origin;
         }
@@ -35,7 +39,8 @@ pub(crate) fn fixed(robot: Robot) -> Robot {
             bodies.push(vec![link.inertia]);
         }
     }
-    let place = |link: usize| owner.get(link).and_then(|own| number.get(*own)).copied().unwrap_or_default();
+    let place =
+        |link: usize| owner.get(link).and_then(|own| number.get(*own)).copied().unwrap_or_default();
     for (at, link) in robot.links.into_iter().enumerate() {
         if owner.get(at) == Some(&at) {
             continue;

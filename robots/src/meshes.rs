@@ -6,7 +6,7 @@ use std::rc::Rc;
 
 use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 use rigidformer_runtime::files::{self, shown};
-use rigidformer_runtime::memory::Budget;
+use rigidformer_runtime::memory::{Budget, TooLarge};
 use rigidformer_runtime::mesh::{self, Format, Group, MeshError, TriangleMesh};
 
 use crate::error::{Problem, SHOWN};
@@ -76,7 +76,9 @@ impl Meshes {
             }
         }
         let is_there = |place: &PathBuf| place.is_file();
-        let Some(found) = places.into_iter().find(is_there).and_then(|place| place.canonicalize().ok()) else {
+        let Some(found) =
+            places.into_iter().find(is_there).and_then(|place| place.canonicalize().ok())
+        else {
             return Err(Problem::NoMesh { uri: shown(&uri, SHOWN) });
         };
         // What a file from elsewhere names is read within these folders alone.
@@ -97,17 +99,24 @@ impl Meshes {
             return Err(Problem::Unsupported { what, remedy: "convert it to STL or OBJ" });
         }
         let failed = |problem: MeshError| Problem::Mesh { uri: shown(uri, SHOWN), problem };
-        let bytes = files::read_whole(path).map_err(|error| Problem::Unreadable(error.to_string()))?;
+        let bytes =
+            files::read_whole(path).map_err(|error| Problem::Unreadable(error.to_string()))?;
         let groups = match end.as_deref() {
             Some("msh") => {
-                self.budget.take(bytes.len() as u64 * 2).map_err(|error| failed(error.into()))?;
                 let mesh = msh(&bytes).filter(TriangleMesh::is_sound).ok_or_else(|| {
-                    failed(MeshError::Broken { format: "MSH", problem: "its counts or corners are wrong".into() })
+                    failed(MeshError::Broken {
+                        format: "MSH",
+                        problem: "its counts or corners are wrong".into(),
+                    })
                 })?;
                 vec![Group { name: String::new(), mesh }]
             }
-            _ => mesh::read(&bytes, Format::of(path), &mut self.budget).map_err(failed)?,
+            // What reading takes is free again after it.
+            _ => mesh::read(&bytes, Format::of(path), &mut Budget::default()).map_err(failed)?,
         };
+        for group in &groups {
+            self.count(&group.mesh)?;
+        }
         let is_of_pieces = (2..=MOST_GROUPS).contains(&groups.len())
             && groups.iter().all(|group| group.mesh.welded().is_convex());
         let read = Rc::new(MeshFile { groups, is_of_pieces });
@@ -117,8 +126,11 @@ impl Meshes {
 
     /// Counts a link's copy of a mesh.
     pub(crate) fn count(&mut self, mesh: &TriangleMesh) -> Result<(), Problem> {
-        let bytes = mesh.points.len() as u64 * POINT_BYTES + mesh.triangles.len() as u64 * TRIANGLE_BYTES;
-        self.budget.take(bytes).map_err(|error| Problem::Unreadable(error.to_string()))
+        let bytes =
+            mesh.points.len() as u64 * POINT_BYTES + mesh.triangles.len() as u64 * TRIANGLE_BYTES;
+        self.budget.take(bytes).map_err(|error| {
+            Problem::Unreadable(format!("its meshes: {error}; {}", TooLarge::REMEDY))
+        })
     }
 }
 
@@ -133,14 +145,23 @@ fn msh(bytes: &[u8]) -> Option<TriangleMesh> {
     let (_, rest) = rest.split_at_checked(texture?.checked_mul(2)?)?;
     let (triangles, []) = rest.split_at_checked(triangles?.checked_mul(3)?)? else { return None };
     Some(TriangleMesh {
-        points: points.as_chunks::<3>().0.iter().map(|p| Point3::from(p.map(f32::from_le_bytes))).collect(),
+        points: points
+            .as_chunks::<3>()
+            .0
+            .iter()
+            .map(|p| Point3::from(p.map(f32::from_le_bytes)))
+            .collect(),
         triangles: triangles.as_chunks::<3>().0.iter().map(|t| t.map(u32::from_le_bytes)).collect(),
     })
     .filter(|mesh: &TriangleMesh| !mesh.triangles.is_empty())
 }
 
 /// The mesh with its lengths multiplied along each axis, and then moved. None where a length is no number any more.
-pub(crate) fn placed(mesh: &TriangleMesh, scale: &Vector3<f64>, pose: &Isometry3<f64>) -> Option<TriangleMesh> {
+pub(crate) fn placed(
+    mesh: &TriangleMesh,
+    scale: &Vector3<f64>,
+    pose: &Isometry3<f64>,
+) -> Option<TriangleMesh> {
     let place = |point: &Point3<f32>| {
         let scaled = Point3::from(point.coords.cast::<f64>().component_mul(scale));
         (pose * scaled).cast::<f32>()
@@ -204,13 +225,20 @@ pub(crate) fn mesh_inertia(mesh: &TriangleMesh, way: MeshInertia) -> Option<Iner
     }
     let centre = centre / volume;
     let mut second = Matrix3::zeros();
+    // Pyramids to the centre have another volume than those to the middle, where they are all added.
+    let mut volume = 0.0;
     for corners in corners() {
         let [a, b, c] = corners.map(|corner| corner - centre);
         let part = sign(a.dot(&b.cross(&c)) / 6.0);
+        volume += part;
         let sum = a + b + c;
         let squares = a * a.transpose() + b * b.transpose() + c * c.transpose();
         second += (squares + sum * sum.transpose()) * (part / 20.0);
     }
     let about = Matrix3::identity() * second.trace() - second;
-    Some(Inertia { mass_kg: volume, centre_m: Point3::from(centre), about_centre: symmetric(&about) })
+    Some(Inertia {
+        mass_kg: volume,
+        centre_m: Point3::from(centre),
+        about_centre: symmetric(&about),
+    })
 }

@@ -26,7 +26,11 @@ use defaults::Defaults;
 /// Included files, at most.
 const MOST_INCLUDES: usize = 256;
 
-pub(crate) fn robot(path: &Path, root: &Element, options: &LoadOptions) -> Result<Robot, RobotError> {
+pub(crate) fn robot(
+    path: &Path,
+    root: &Element,
+    options: &LoadOptions,
+) -> Result<Robot, RobotError> {
     let meshes = Meshes::new(path, options);
     let mut included = HashSet::new();
     let mut whole = root.clone();
@@ -103,7 +107,9 @@ fn include(
 ) -> Result<(), RobotError> {
     // Files within files add up.
     if depth > MOST_DEPTH {
-        return Err(element.fail(Problem::TooMany { what: "elements within each other", most: MOST_DEPTH }));
+        return Err(
+            element.fail(Problem::TooMany { what: "elements within each other", most: MOST_DEPTH })
+        );
     }
     let mut children = Vec::new();
     for mut child in std::mem::take(&mut element.children) {

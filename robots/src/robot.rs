@@ -91,7 +91,9 @@ impl JointKind {
     pub const fn positions(&self) -> usize {
         match self {
             JointKind::Fixed => 0,
-            JointKind::Revolute { .. } | JointKind::Continuous { .. } | JointKind::Prismatic { .. } => 1,
+            JointKind::Revolute { .. }
+            | JointKind::Continuous { .. }
+            | JointKind::Prismatic { .. } => 1,
             JointKind::Ball => 4,
             JointKind::Free => 7,
         }
@@ -150,7 +152,10 @@ impl RobotJoint {
     fn pose(&self, position: &[f64]) -> Option<Isometry3<f64>> {
         let about = |turn: UnitQuaternion<f64>| {
             let anchor = Translation3::from(self.anchor);
-            self.origin * (anchor * Isometry3::from_parts(Translation3::identity(), turn) * anchor.inverse())
+            self.origin
+                * (anchor
+                    * Isometry3::from_parts(Translation3::identity(), turn)
+                    * anchor.inverse())
         };
         match (self.kind, position) {
             (JointKind::Fixed, []) => Some(self.origin),
@@ -233,13 +238,22 @@ pub fn parse_robot(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<R
     read_root(path, &crate::xml::parse(path, bytes)?, options)
 }
 
-fn read_root(path: &Path, root: &crate::xml::Element, options: &LoadOptions) -> Result<Robot, RobotError> {
+fn read_root(
+    path: &Path,
+    root: &crate::xml::Element,
+    options: &LoadOptions,
+) -> Result<Robot, RobotError> {
     let refused = |found, remedy| Err(RobotError::Format { path: path.into(), found, remedy });
     let mut robot = match root.tag.as_str() {
         "robot" => urdf::robot(root, options)?,
         "mujoco" => mjcf::robot(path, root, options)?,
         "sdf" => return refused("SDF", SDF),
-        _ => return refused("neither URDF nor MJCF", "give a file whose first element is <robot> or <mujoco>"),
+        _ => {
+            return refused(
+                "neither URDF nor MJCF",
+                "give a file whose first element is <robot> or <mujoco>",
+            );
+        }
     };
     if options.merge_fixed {
         robot = crate::merge::fixed(robot);
@@ -266,7 +280,11 @@ fn refuse(path: &Path) -> Result<(), RobotError> {
 impl Robot {
     /// How many numbers a vector of joint positions has: those of joints that follow no other, in their order.
     pub fn positions(&self) -> usize {
-        self.joints.iter().filter(|joint| joint.mimic.is_none()).map(|joint| joint.kind.positions()).sum()
+        self.joints
+            .iter()
+            .filter(|joint| joint.mimic.is_none())
+            .map(|joint| joint.kind.positions())
+            .sum()
     }
 
     /// Positions at rest: as the file has the links. MJCF's `qpos0`; zeros in URDF.
@@ -319,7 +337,8 @@ impl Robot {
                 (Some(_), None) => None,
                 (None, _) => own(number),
             };
-            let wrong = RobotError::Position { index: starts.get(number).copied().unwrap_or_default() };
+            let wrong =
+                RobotError::Position { index: starts.get(number).copied().unwrap_or_default() };
             let pose = position.and_then(|position| joint.pose(position)).ok_or(wrong)?;
             let parent = poses.get(joint.parent).copied().unwrap_or_default();
             if let Some(child) = poses.get_mut(joint.child) {

@@ -1,6 +1,8 @@
 //! A robot as the units of a scene.
 
-use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{
+    Isometry3, Matrix3, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion, Vector3,
+};
 use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, scene_file};
@@ -124,7 +126,13 @@ impl Robot {
         let poses = self.poses(options.positions.as_ref().unwrap_or(&rest))?;
         let statics = self.statics(options.fixed_base);
         let bodies = self.bodies();
-        let mut made = Made { options, units: Vec::new(), links: Vec::new(), frames: Vec::new(), notes: Vec::new() };
+        let mut made = Made {
+            options,
+            units: Vec::new(),
+            links: Vec::new(),
+            frames: Vec::new(),
+            notes: Vec::new(),
+        };
         for (number, link) in self.links.iter().enumerate() {
             let is_static = statics.get(number) == Some(&true);
             let pose = options.base * poses.get(number).copied().unwrap_or_default();
@@ -132,7 +140,9 @@ impl Robot {
         }
         let Made { units, links, frames, mut notes, .. } = made;
         if units.is_empty() {
-            return Err(fail("no link has both a shape and a mass; give links <collision> and <inertial>".into()));
+            return Err(fail(
+                "no link has both a shape and a mass; give links <collision> and <inertial>".into(),
+            ));
         }
         let mut number = vec![None; self.links.len()];
         for (unit, link) in links.iter().enumerate() {
@@ -141,8 +151,17 @@ impl Robot {
             }
         }
         let (pivots, joints) = self.pivots(&poses, &number, &frames, &mut notes);
-        let scene = RecordedScene::new(&self.name, 0, Split::Extra, options.frame_rate_hz, options.gravity_m_s2, units);
-        let scene = scene.and_then(|scene| scene.with_planes(self.planes_of(options))).and_then(|scene| scene.with_pivots(pivots));
+        let scene = RecordedScene::new(
+            &self.name,
+            0,
+            Split::Extra,
+            options.frame_rate_hz,
+            options.gravity_m_s2,
+            units,
+        );
+        let scene = scene
+            .and_then(|scene| scene.with_planes(self.planes_of(options)))
+            .and_then(|scene| scene.with_pivots(pivots));
         let scene = scene.map_err(|error| fail(error.to_string()))?;
         Ok(RobotScene { scene, links, frames, joints, notes })
     }
@@ -158,7 +177,12 @@ impl Robot {
         let own = |(normal, offset, friction): &([f64; 3], f64, f64)| {
             let normal = options.base.rotation * Vector3::from(*normal);
             let offset_m = (offset + normal.dot(&options.base.translation.vector)) as f32;
-            Plane { normal: normal.cast().normalize(), offset_m, friction: *friction as f32, restitution: ground.restitution }
+            Plane {
+                normal: normal.cast().normalize(),
+                offset_m,
+                friction: *friction as f32,
+                restitution: ground.restitution,
+            }
         };
         self.planes.iter().take(MAX_PLANES).map(own).collect()
     }
@@ -227,14 +251,19 @@ impl Robot {
             };
             let Some((parent_link, parent)) = parent else { continue };
             let name = |link: usize| self.links.get(link).map_or("", |link| link.name.as_str());
-            let (Some(own_pose), Some(parent_pose)) = (poses.get(link), poses.get(parent_link)) else { continue };
+            let (Some(own_pose), Some(parent_pose)) = (poses.get(link), poses.get(parent_link))
+            else {
+                continue;
+            };
             let frame = |unit: usize| frames.get(unit).copied().unwrap_or_default();
             let anchors: Vec<Point3<f64>> = chain
                 .iter()
                 .filter(|joint| joint.kind != JointKind::Fixed || chain.len() == 1)
                 .filter_map(|joint| Some(poses.get(joint.child)? * joint.anchor))
                 .collect();
-            let slides = chain.iter().any(|joint| matches!(joint.kind, JointKind::Prismatic { .. } | JointKind::Free));
+            let slides = chain
+                .iter()
+                .any(|joint| matches!(joint.kind, JointKind::Prismatic { .. } | JointKind::Free));
             let first = anchors.first().copied().unwrap_or(own_pose * Point3::origin());
             let is_one = anchors.iter().all(|anchor| (anchor - first).norm() <= SAME_M);
             let is_held = !slides && is_one;
@@ -251,7 +280,11 @@ impl Robot {
                 ));
             }
             if chain.iter().all(|joint| joint.kind == JointKind::Fixed) {
-                notes.push(format!("{} is fixed to {}, which one pivot does not hold; merge them (--merge-fixed)", name(link), name(parent_link)));
+                notes.push(format!(
+                    "{} is fixed to {}, which one pivot does not hold; merge them (--merge-fixed)",
+                    name(link),
+                    name(parent_link)
+                ));
             }
             let single = match chain[..] {
                 [joint] => Some(joint),
@@ -295,7 +328,10 @@ impl Made<'_> {
         if link.surface.triangles.is_empty() || !has_mass {
             // The world, and frames without either, are what files mean.
             if mass_kg > 0.0 {
-                self.notes.push(format!("{} has a mass of {mass_kg} kg and no shape: it is no unit", link.name));
+                self.notes.push(format!(
+                    "{} has a mass of {mass_kg} kg and no shape: it is no unit",
+                    link.name
+                ));
             } else if !link.surface.triangles.is_empty() {
                 self.notes.push(format!("{} has a shape and no mass: it is no unit", link.name));
             }
@@ -307,8 +343,10 @@ impl Made<'_> {
         };
         let frame = Isometry3::from_parts(Translation3::identity(), frame);
         let back = frame.inverse().cast::<f32>();
-        let points: Vec<Point3<f32>> =
-            sample::points(&link.surface, self.options.points).iter().map(|point| back * point).collect();
+        let points: Vec<Point3<f32>> = sample::points(&link.surface, self.options.points)
+            .iter()
+            .map(|point| back * point)
+            .collect();
         if points.len() < 4 {
             self.notes.push(format!("{} has fewer than 4 points: it is no unit", link.name));
             return;
@@ -320,7 +358,10 @@ impl Made<'_> {
         };
         let here = (pose * frame).cast::<f32>();
         // Rotations in f32 keep the length of 1 that files ask for.
-        let here = Isometry3::from_parts(here.translation, UnitQuaternion::new_normalize(here.rotation.into_inner()));
+        let here = Isometry3::from_parts(
+            here.translation,
+            UnitQuaternion::new_normalize(here.rotation.into_inner()),
+        );
         let mut unit = RecordedUnit::new(&link.name, points, physics, vec![here; 2]);
         if let Some(body) = body {
             unit = unit.with_body(body);
@@ -330,7 +371,8 @@ impl Made<'_> {
         } else if let Some(moments) = sound(moments) {
             unit = unit.with_inertia(moments);
         } else {
-            self.notes.push(format!("{} has no moments of inertia: those of a box count", link.name));
+            self.notes
+                .push(format!("{} has no moments of inertia: those of a box count", link.name));
         }
         if link.pieces.len() > 1 {
             let solid = link.pieces.iter().filter(|piece| ConvexHull::new(piece).is_some());
@@ -377,13 +419,15 @@ impl RobotScene {
     /// None for scenes that were made.
     pub fn file(&self, path: &Path, notes: &SceneNotes) -> Result<Vec<u8>, RobotError> {
         let fail = |problem: String| RobotError::Scene { robot: self.scene.name().into(), problem };
-        let bytes = scene_file(path, &self.scene, notes).map_err(|error| fail(error.to_string()))?;
+        let bytes =
+            scene_file(path, &self.scene, notes).map_err(|error| fail(error.to_string()))?;
         let broken = || fail("its file has no header".into());
         let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(broken)?;
         let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| broken())?;
         let (header, payload) = rest.split_at_checked(length).ok_or_else(broken)?;
         let mut header: Value = serde_json::from_slice(header).map_err(|_| broken())?;
-        let metadata = header.get_mut("__metadata__").and_then(Value::as_object_mut).ok_or_else(broken)?;
+        let metadata =
+            header.get_mut("__metadata__").and_then(Value::as_object_mut).ok_or_else(broken)?;
         metadata.insert("robot_joints".into(), self.joints.to_string().into());
         let mut header = header.to_string();
         // Offsets count from the payload, and eight bytes align its first tensor.

@@ -52,12 +52,14 @@ impl Default for MeshSetOptions {
 /// # Errors
 /// [`RobotError`]: a folder or mesh that cannot be read, or a mesh that encloses nothing.
 pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, RobotError> {
-    let unreadable = |source| RobotError::File(FileError {
-        path: folder.into(),
-        action: "cannot be read",
-        remedy: "name a folder of meshes",
-        source,
-    });
+    let unreadable = |source| {
+        RobotError::File(FileError {
+            path: folder.into(),
+            action: "cannot be read",
+            remedy: "name a folder of meshes",
+            source,
+        })
+    };
     let mut paths: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
@@ -75,7 +77,10 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
     };
     if paths.is_empty() {
         let what = "a folder without meshes";
-        return Err(fail(folder, Problem::Unsupported { what, remedy: "give one with STL, OBJ or COLLADA files" }));
+        return Err(fail(
+            folder,
+            Problem::Unsupported { what, remedy: "give one with STL, OBJ or COLLADA files" },
+        ));
     }
     if paths.len() >= MOST_LINKS {
         return Err(fail(folder, Problem::TooMany { what: "meshes", most: MOST_LINKS }));
@@ -106,10 +111,14 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
         });
         read.map_err(|problem| fail(&path, problem))?;
         let mut link = shapes.link(name, Inertia::default(), None);
-        let (inertia, is_closed) = weight(&link.surface)
-            .ok_or_else(|| fail(&path, Problem::Inertia("it encloses no volume; give a mesh of a body")))?;
+        let (inertia, is_closed) = weight(&link.surface).ok_or_else(|| {
+            fail(&path, Problem::Inertia("it encloses no volume; give a mesh of a body"))
+        })?;
         if !is_closed {
-            robot.notes.push(format!("{} is not closed: its mass and inertia are those of its hull", link.name));
+            robot.notes.push(format!(
+                "{} is not closed: its mass and inertia are those of its hull",
+                link.name
+            ));
         }
         link.inertia = inertia.scaled(options.density_kg_m3);
         let (low, high) = bounds(&link.surface);
@@ -135,7 +144,10 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
 fn weight(mesh: &TriangleMesh) -> Option<(Inertia, bool)> {
     if let Some(own) = mesh.mass_properties() {
         let about_centre = own.inertia_m5;
-        return Some((Inertia { mass_kg: own.volume_m3, centre_m: own.centre_m, about_centre }, true));
+        return Some((
+            Inertia { mass_kg: own.volume_m3, centre_m: own.centre_m, about_centre },
+            true,
+        ));
     }
     Some((mesh_inertia(mesh, MeshInertia::Convex)?, false))
 }

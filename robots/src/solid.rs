@@ -42,7 +42,9 @@ impl Solid {
             Solid::Box([x, y, z]) => 8.0 * x * y * z,
             Solid::Ellipsoid([x, y, z]) => 4.0 / 3.0 * PI * x * y * z,
             Solid::Cylinder(radius, half) => PI * radius * radius * 2.0 * half,
-            Solid::Capsule(radius, half) => PI * radius * radius * (2.0 * half + 4.0 / 3.0 * radius),
+            Solid::Capsule(radius, half) => {
+                PI * radius * radius * (2.0 * half + 4.0 / 3.0 * radius)
+            }
         }
     }
 
@@ -69,14 +71,20 @@ impl Solid {
                 Vector3::new(across, across, middle * square / 2.0 + ball * 0.4 * square)
             }
         };
-        Inertia { mass_kg, centre_m: Point3::origin(), about_centre: Matrix3::from_diagonal(&moments) }
+        Inertia {
+            mass_kg,
+            centre_m: Point3::origin(),
+            about_centre: Matrix3::from_diagonal(&moments),
+        }
     }
 
     /// Its surface; round ones have corners on the surface.
     pub(crate) fn mesh(&self) -> TriangleMesh {
         match *self {
             Solid::Box(half) => cuboid(half),
-            Solid::Ellipsoid([x, y, z]) => turned(|sine, cosine| ([x * sine, y * sine], z * cosine)),
+            Solid::Ellipsoid([x, y, z]) => {
+                turned(|sine, cosine| ([x * sine, y * sine], z * cosine))
+            }
             Solid::Cylinder(radius, half) => {
                 lathe(&[(0.0, half), (radius, half), (radius, -half), (0.0, -half)])
             }
@@ -97,7 +105,8 @@ impl Solid {
 fn cuboid([x, y, z]: [f64; 3]) -> TriangleMesh {
     let sign = |k: usize, bit: usize| if k & bit == 0 { -1.0 } else { 1.0 };
     let corner = |k: usize| Point3::new(sign(k, 1) * x, sign(k, 2) * y, sign(k, 4) * z).cast();
-    let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+    let quads =
+        [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
     TriangleMesh {
         points: (0..8).map(corner).collect(),
         triangles: quads.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect(),
@@ -179,9 +188,15 @@ mod tests {
             assert!(mesh.is_closed(), "{solid:?}");
             let own = mesh.mass_properties().unwrap();
             let (volume, inertia) = (solid.volume_m3(), solid.inertia(solid.volume_m3()));
-            assert!(mesh.volume_m3() > 0.0 && (own.volume_m3 / volume - 1.0).abs() < off, "{solid:?}");
+            assert!(
+                mesh.volume_m3() > 0.0 && (own.volume_m3 / volume - 1.0).abs() < off,
+                "{solid:?}"
+            );
             let moments = own.inertia_m5.diagonal().component_div(&inertia.about_centre.diagonal());
-            assert!(moments.iter().all(|share| (share - 1.0).abs() < 2.0 * off), "{solid:?} {moments}");
+            assert!(
+                moments.iter().all(|share| (share - 1.0).abs() < 2.0 * off),
+                "{solid:?} {moments}"
+            );
             assert!(mesh.is_convex(), "{solid:?}");
         }
     }

@@ -35,7 +35,8 @@ impl Shapes {
         let what = "a length that is 0, or more than 1000 km";
         let remedy = "give its half sides or radius in metres";
         let unsound = Problem::Unsupported { what, remedy };
-        let mesh = solid.is_sound().then(|| placed(&solid.mesh(), &Vector3::repeat(1.0), pose)).flatten();
+        let mesh =
+            solid.is_sound().then(|| placed(&solid.mesh(), &Vector3::repeat(1.0), pose)).flatten();
         let mesh = mesh.ok_or(unsound)?;
         meshes.count(&mesh)?;
         self.pieces.push(mesh.points.clone());
@@ -68,7 +69,13 @@ impl Shapes {
     }
 
     pub(crate) fn link(self, name: String, inertia: Inertia, friction: Option<f64>) -> Link {
-        Link { name, inertia, surface: TriangleMesh::joined(self.meshes), pieces: self.pieces, friction }
+        Link {
+            name,
+            inertia,
+            surface: TriangleMesh::joined(self.meshes),
+            pieces: self.pieces,
+            friction,
+        }
     }
 }
 
@@ -96,7 +103,8 @@ pub(crate) fn ordered(joints: &[RobotJoint], count: usize, root: usize) -> Optio
     for (place, number) in order.iter().enumerate() {
         *places.get_mut(*number)? = place;
     }
-    let mut all: Vec<RobotJoint> = order.iter().filter_map(|number| joints.get(*number).cloned()).collect();
+    let mut all: Vec<RobotJoint> =
+        order.iter().filter_map(|number| joints.get(*number).cloned()).collect();
     for mimic in all.iter_mut().filter_map(|joint| joint.mimic.as_mut()) {
         mimic.joint = *places.get(mimic.joint)?;
     }

@@ -8,7 +8,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, UnitVector3, Vector3};
 
 use crate::error::{Problem, RobotError};
-use crate::inertia::{Inertia, matrix};
+use crate::inertia::{Inertia, doubt, matrix};
 use crate::meshes::Meshes;
 use crate::robot::{JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, turn};
 use crate::solid::Solid;
@@ -120,7 +120,8 @@ impl Reader<'_> {
                 self.shape(visual, &mut shapes)?;
             }
         }
-        let contact = element.child("contact").and_then(|contact| contact.child("lateral_friction"));
+        let contact =
+            element.child("contact").and_then(|contact| contact.child("lateral_friction"));
         let friction = match contact {
             Some(friction) => friction.number("value")?,
             None => self.friction.get(name).copied(),
@@ -135,7 +136,8 @@ impl Reader<'_> {
         let mass_kg = mass.number("value")?.unwrap_or_default();
         let mut moments = [0.0; 6];
         if let Some(inertia) = inertial.child("inertia") {
-            for (moment, name) in moments.iter_mut().zip(["ixx", "iyy", "izz", "ixy", "ixz", "iyz"]) {
+            for (moment, name) in moments.iter_mut().zip(["ixx", "iyy", "izz", "ixy", "ixz", "iyz"])
+            {
                 *moment = inertia.number(name)?.unwrap_or_default();
             }
         }
@@ -145,23 +147,27 @@ impl Reader<'_> {
         if mass_kg == 0.0 {
             return Ok(Inertia { about_centre: nalgebra::Matrix3::zeros(), ..own });
         }
-        match own.problem() {
-            Some(_) if self.options.balance_inertia && mass_kg > 0.0 => {
-                self.notes.push(format!("link {link}: its inertia is no body's, and was balanced"));
-                Ok(own.balanced())
-            }
-            Some(problem) => Err(inertial.fail(problem)),
-            None => Ok(own),
+        let balances = self.options.balance_inertia && mass_kg > 0.0;
+        if let Some(problem) = own.problem().filter(|_| !balances) {
+            return Err(inertial.fail(problem));
         }
+        if own.is_of_a_body() {
+            return Ok(own);
+        }
+        self.notes.push(doubt(link, balances));
+        Ok(if balances { own.balanced() } else { own })
     }
 
     /// Adds a collision or visual element's geometry.
     fn shape(&mut self, element: &Element, shapes: &mut Shapes) -> Result<(), RobotError> {
-        let geometry = element.child("geometry").ok_or_else(|| element.fail(Problem::Missing("geometry")))?;
+        let geometry =
+            element.child("geometry").ok_or_else(|| element.fail(Problem::Missing("geometry")))?;
         let pose = origin(element)?;
         self.geometries += 1;
         if self.geometries > MOST_GEOMETRIES {
-            return Err(element.fail(Problem::TooMany { what: "geometries", most: MOST_GEOMETRIES }));
+            return Err(
+                element.fail(Problem::TooMany { what: "geometries", most: MOST_GEOMETRIES })
+            );
         }
         let Some(kind) = geometry.children.first() else {
             return Err(geometry.fail(Problem::Missing("shape")));
@@ -180,7 +186,8 @@ impl Reader<'_> {
             "capsule" => Solid::Capsule(number("radius")?, number("length")? / 2.0),
             "mesh" => return self.mesh(kind, &pose, shapes),
             "plane" => {
-                self.notes.push("a plane of a link is passed over; give planes to the scene".into());
+                self.notes
+                    .push("a plane of a link is passed over; give planes to the scene".into());
                 return Ok(());
             }
             _ => {
@@ -191,7 +198,12 @@ impl Reader<'_> {
         shapes.add_solid(&solid, &pose, &mut self.meshes).map_err(|problem| kind.fail(problem))
     }
 
-    fn mesh(&mut self, kind: &Element, pose: &Isometry3<f64>, shapes: &mut Shapes) -> Result<(), RobotError> {
+    fn mesh(
+        &mut self,
+        kind: &Element,
+        pose: &Isometry3<f64>,
+        shapes: &mut Shapes,
+    ) -> Result<(), RobotError> {
         let uri = kind.need("filename")?;
         // One number scales all axes.
         let scale = match kind.get("scale") {
@@ -208,9 +220,10 @@ impl Reader<'_> {
             }
             found => found.map_err(|problem| kind.fail(problem))?,
         };
-        let read = self.meshes.read(&path, uri).and_then(|file| {
-            shapes.add_mesh(&file, (&scale, pose), true, &mut self.meshes)
-        });
+        let read = self
+            .meshes
+            .read(&path, uri)
+            .and_then(|file| shapes.add_mesh(&file, (&scale, pose), true, &mut self.meshes));
         read.map_err(|problem| kind.fail(problem))
     }
 }
@@ -242,7 +255,10 @@ fn joints(
     let mut children = HashSet::new();
     let mut mimics = Vec::new();
     // Those of transmissions name joints alone.
-    for element in root.all("joint").filter(|joint| joint.get("type").is_some() || joint.child("child").is_some()) {
+    for element in root
+        .all("joint")
+        .filter(|joint| joint.get("type").is_some() || joint.child("child").is_some())
+    {
         let name = element.need("name")?.to_owned();
         if names.contains_key(&name) {
             return Err(element.fail(Problem::duplicate("joint", &name)));
@@ -291,7 +307,13 @@ fn joints(
                     links.push(Link { name: format!("{name}/{number}"), ..Link::default() });
                     let kind = JointKind::Prismatic { axis, limits: None };
                     let name = format!("{name}/{number}");
-                    joints.push(RobotJoint { name, parent: from, child: between, origin, ..joint(kind) });
+                    joints.push(RobotJoint {
+                        name,
+                        parent: from,
+                        child: between,
+                        origin,
+                        ..joint(kind)
+                    });
                     from = between;
                 }
                 names.insert(name.clone(), joints.len());
@@ -300,7 +322,8 @@ fn joints(
                 continue;
             }
             other => {
-                let expected = "fixed, revolute, continuous, prismatic, planar, floating or spherical";
+                let expected =
+                    "fixed, revolute, continuous, prismatic, planar, floating or spherical";
                 return Err(element.fail(Problem::word("type", other, expected)));
             }
         };
@@ -312,9 +335,11 @@ fn joints(
     }
     for (joint, element) in mimics {
         let leader = element.need("joint")?;
-        let leader = *names.get(leader).ok_or_else(|| element.fail(Problem::unknown("joint", leader)))?;
+        let leader =
+            *names.get(leader).ok_or_else(|| element.fail(Problem::unknown("joint", leader)))?;
         let multiplier = element.number("multiplier")?.unwrap_or(1.0);
-        let mimic = Mimic { joint: leader, multiplier, offset: element.number("offset")?.unwrap_or(0.0) };
+        let mimic =
+            Mimic { joint: leader, multiplier, offset: element.number("offset")?.unwrap_or(0.0) };
         if let Some(joint) = joints.get_mut(joint) {
             joint.mimic = Some(mimic);
         }
@@ -330,7 +355,10 @@ pub(crate) fn follows(joints: &[RobotJoint], joint: usize) -> Result<(), Problem
         let Some(own) = joints.get(at) else { break };
         if own.kind.positions() != 1 {
             let what = "a joint that follows, or leads, and has no one position";
-            return Err(Problem::Unsupported { what, remedy: "let hinges and slides follow each other" });
+            return Err(Problem::Unsupported {
+                what,
+                remedy: "let hinges and slides follow each other",
+            });
         }
         let Some(mimic) = own.mimic else { return Ok(()) };
         at = mimic.joint;
@@ -365,7 +393,11 @@ fn limits(element: &Element) -> Result<Option<[f64; 2]>, RobotError> {
         true => Ok(Some([lower, upper])),
         false => {
             let attribute = "upper".to_owned();
-            Err(limit.fail(Problem::Number { attribute, found: upper.to_string(), expected: "at least lower" }))
+            Err(limit.fail(Problem::Number {
+                attribute,
+                found: upper.to_string(),
+                expected: "at least lower",
+            }))
         }
     }
 }

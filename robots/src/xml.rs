@@ -54,11 +54,16 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Element, RobotError> {
     if bytes.len() > MOST_BYTES {
         return Err(fail(0, format!("it has more than {MOST_BYTES} bytes")));
     }
-    let text = std::str::from_utf8(bytes).map_err(|_| fail(0, "it is not UTF-8".into()))?;
+    // Some programs write the zero that ends a text in C.
+    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    let text = std::str::from_utf8(bytes.get(..end).unwrap_or_default());
+    let text = text.map_err(|_| fail(0, "it is not UTF-8".into()))?;
     check(text).map_err(|problem| fail(0, problem.into()))?;
-    let options = ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text.trim_start_matches('\u{feff}').trim_start(), options)
-        .map_err(|error| fail(error.pos().row, error.to_string()))?;
+    let options =
+        ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
+    let document =
+        Document::parse_with_options(text.trim_start_matches('\u{feff}').trim_start(), options)
+            .map_err(|error| fail(error.pos().row, error.to_string()))?;
     // Lines before the first element that trimming took.
     let trimmed = text.len() - text.trim_start_matches('\u{feff}').trim_start().len();
     let before = text.get(..trimmed).unwrap_or_default().matches('\n').count() as u32;
@@ -110,8 +115,14 @@ fn element(
     Ok(Element {
         tag: node.tag_name().name().to_owned(),
         attributes: attributes.collect(),
-        text: node.text().map(str::trim).filter(|text| (1..=MOST_TEXT).contains(&text.len())).map(str::to_owned),
-        children: children.map(|child| element(child, file, line, depth + 1)).collect::<Result<_, _>>()?,
+        text: node
+            .text()
+            .map(str::trim)
+            .filter(|text| (1..=MOST_TEXT).contains(&text.len()))
+            .map(str::to_owned),
+        children: children
+            .map(|child| element(child, file, line, depth + 1))
+            .collect::<Result<_, _>>()?,
         line: own,
         file: file.clone(),
     })
@@ -135,7 +146,10 @@ impl Element {
 
     /// An error about it.
     pub(crate) fn fail(&self, problem: Problem) -> RobotError {
-        let name = self.get("name").or(self.get("file")).map(|name| format!(" \"{}\"", shown(name, SHOWN)));
+        let name = self
+            .get("name")
+            .or(self.get("file"))
+            .map(|name| format!(" \"{}\"", shown(name, SHOWN)));
         RobotError::Element {
             path: self.file.to_path_buf(),
             line: self.line,
@@ -193,7 +207,9 @@ impl Element {
     ) -> Result<Option<T>, RobotError> {
         let Some(text) = self.get(name) else { return Ok(None) };
         let found = known.iter().find(|(word, _)| *word == text);
-        found.map(|(_, value)| Some(*value)).ok_or_else(|| self.fail(Problem::word(name, text, expected)))
+        found
+            .map(|(_, value)| Some(*value))
+            .ok_or_else(|| self.fail(Problem::word(name, text, expected)))
     }
 
     /// Whether it says "true".
@@ -202,8 +218,13 @@ impl Element {
     }
 
     /// So many finite numbers, where there are some.
-    pub(crate) fn numbers<const N: usize>(&self, name: &str) -> Result<Option<[f64; N]>, RobotError> {
-        self.get(name).map(|text| numbers(text).ok_or_else(|| self.fail(bad::<N>(name, text)))).transpose()
+    pub(crate) fn numbers<const N: usize>(
+        &self,
+        name: &str,
+    ) -> Result<Option<[f64; N]>, RobotError> {
+        self.get(name)
+            .map(|text| numbers(text).ok_or_else(|| self.fail(bad::<N>(name, text))))
+            .transpose()
     }
 }
 

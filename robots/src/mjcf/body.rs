@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Point3, UnitVector3, Vector3};
 use super::compiler::{Compiler, FromGeometry};
 use super::defaults::{Defaults, MAIN};
 use crate::error::{Problem, RobotError};
-use crate::inertia::{Inertia, matrix};
+use crate::inertia::{Inertia, doubt, matrix};
 use crate::meshes::{MeshInertia, Meshes};
 use crate::robot::{JointKind, Link, LoadOptions, RobotJoint};
 use crate::tree::{MOST_LINKS, Shapes};
@@ -47,6 +47,8 @@ pub(super) struct Parts<'f> {
     joints: Vec<(&'f Element, String)>,
     bodies: Vec<(&'f Element, String, Isometry3<f64>)>,
     pub(super) geometries: Vec<(&'f Element, String, Isometry3<f64>)>,
+    /// Those that are for pictures alone.
+    pub(super) later: Vec<(&'f Element, String, Isometry3<f64>)>,
 }
 
 impl<'f> Reader<'f> {
@@ -64,9 +66,7 @@ impl<'f> Reader<'f> {
         for world in root.all("worldbody") {
             self.collect(world, MAIN, &Isometry3::identity(), &mut parts)?;
         }
-        for (element, class, frame) in &std::mem::take(&mut parts.geometries) {
-            self.geometry(element, class, (frame, &mut parts), (true, false))?;
-        }
+        self.add_all(&mut parts, (true, false))?;
         let shapes = if parts.touching.is_empty() { parts.seen } else { parts.touching };
         let world = shapes.link("world".into(), Inertia::default(), parts.friction);
         if let Some(first) = self.links.first_mut() {
@@ -97,12 +97,15 @@ impl<'f> Reader<'f> {
                 "geom" => parts.geometries.push((child, class.to_owned(), *frame)),
                 "joint" | "freejoint" => parts.joints.push((child, class.to_owned())),
                 "inertial" if parts.inertial.is_some() => {
-                    return Err(child.fail(Problem::Duplicate { kind: "inertial", name: String::new() }));
+                    return Err(
+                        child.fail(Problem::Duplicate { kind: "inertial", name: String::new() })
+                    );
                 }
                 "inertial" => parts.inertial = Some(child),
                 "replicate" | "attach" | "composite" | "flexcomp" => {
                     let what = "an element that makes others";
-                    let remedy = "write the model out with MuJoCo (mj_saveLastXML) and give that file";
+                    let remedy =
+                        "write the model out with MuJoCo (mj_saveLastXML) and give that file";
                     return Err(child.fail(Problem::Unsupported { what, remedy }));
                 }
                 _ => {}
@@ -120,7 +123,10 @@ impl<'f> Reader<'f> {
     ) -> Result<(), RobotError> {
         let name = match element.get("name") {
             Some(name) => name.to_owned(),
-            None => (self.links.len()..).map(|n| format!("body{n}")).find(|n| !self.names.contains(n)).unwrap_or_default(),
+            None => (self.links.len()..)
+                .map(|n| format!("body{n}"))
+                .find(|n| !self.names.contains(n))
+                .unwrap_or_default(),
         };
         if !self.names.insert(name.clone()) {
             return Err(element.fail(Problem::duplicate("body", &name)));
@@ -134,7 +140,8 @@ impl<'f> Reader<'f> {
         for (number, (joint, class)) in joints.iter().enumerate() {
             // Several joints of a body follow each other, through links that have no mass.
             if let Some(joint) = last.take() {
-                let between = self.add(element, Link { name: format!("{name}/{number}"), ..Link::default() })?;
+                let between = self
+                    .add(element, Link { name: format!("{name}/{number}"), ..Link::default() })?;
                 self.hang(from, between, origin, Some(joint));
                 (from, origin) = (between, Isometry3::identity());
             }
@@ -173,10 +180,25 @@ impl<'f> Reader<'f> {
             reference: 0.0,
         });
         let Axis { name, kind, anchor, reference } = joint;
-        self.joints.push(RobotJoint { name, parent, child, origin, kind, anchor, reference, mimic: None });
+        self.joints.push(RobotJoint {
+            name,
+            parent,
+            child,
+            origin,
+            kind,
+            anchor,
+            reference,
+            mimic: None,
+        });
     }
 
-    fn joint(&mut self, element: &Element, class: &str, parent: usize, count: usize) -> Result<Axis, RobotError> {
+    fn joint(
+        &mut self,
+        element: &Element,
+        class: &str,
+        parent: usize,
+        count: usize,
+    ) -> Result<Axis, RobotError> {
         let is_free = element.tag == "freejoint";
         let element = &match is_free {
             true => element.clone(),
@@ -193,18 +215,28 @@ impl<'f> Reader<'f> {
             let numbers = element.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]);
             UnitVector3::try_new(Vector3::from(numbers), 1e-10).ok_or_else(|| {
                 let found = format!("{numbers:?}");
-                element.fail(Problem::Number { attribute: "axis".into(), found, expected: "a direction" })
+                element.fail(Problem::Number {
+                    attribute: "axis".into(),
+                    found,
+                    expected: "a direction",
+                })
             })
         };
         Ok(match kind {
             "free" if parent != 0 || count != 1 => {
                 let what = "a free joint below another body, or beside other joints";
-                return Err(element.fail(Problem::Unsupported { what, remedy: "put its body into the world" }));
+                return Err(element
+                    .fail(Problem::Unsupported { what, remedy: "put its body into the world" }));
             }
-            "free" => Axis { name, kind: JointKind::Free, anchor: Point3::origin(), reference: 0.0 },
+            "free" => {
+                Axis { name, kind: JointKind::Free, anchor: Point3::origin(), reference: 0.0 }
+            }
             "ball" => Axis { name, kind: JointKind::Ball, anchor, reference: 0.0 },
             "slide" => {
-                let kind = JointKind::Prismatic { axis: axis()?, limits: self.limits(element, |way| way)? };
+                let kind = JointKind::Prismatic {
+                    axis: axis()?,
+                    limits: self.limits(element, |way| way)?,
+                };
                 Axis { name, kind, anchor, reference }
             }
             "hinge" => {
@@ -214,12 +246,22 @@ impl<'f> Reader<'f> {
                 };
                 Axis { name, kind, anchor, reference: self.compiler.angle(reference) }
             }
-            other => return Err(element.fail(Problem::word("type", other, "hinge, slide, ball or free"))),
+            other => {
+                return Err(element.fail(Problem::word(
+                    "type",
+                    other,
+                    "hinge, slide, ball or free",
+                )));
+            }
         })
     }
 
     /// The range of a joint that has one.
-    fn limits(&self, element: &Element, of: impl Fn(f64) -> f64) -> Result<Option<[f64; 2]>, RobotError> {
+    fn limits(
+        &self,
+        element: &Element,
+        of: impl Fn(f64) -> f64,
+    ) -> Result<Option<[f64; 2]>, RobotError> {
         let range = element.numbers::<2>("range")?;
         let said = [("true", Some(true)), ("false", Some(false)), ("auto", None)];
         let limited = element.word("limited", &said, "true, false or auto")?.flatten();
@@ -227,7 +269,11 @@ impl<'f> Reader<'f> {
         match range.filter(|_| is_limited) {
             Some([low, high]) if low > high => {
                 let found = format!("{low} {high}");
-                Err(element.fail(Problem::Number { attribute: "range".into(), found, expected: "a range that rises" }))
+                Err(element.fail(Problem::Number {
+                    attribute: "range".into(),
+                    found,
+                    expected: "a range that rises",
+                }))
             }
             Some(range) => Ok(Some(range.map(of))),
             None if limited == Some(true) => Err(element.fail(Problem::Missing("range"))),
@@ -235,15 +281,18 @@ impl<'f> Reader<'f> {
         }
     }
 
-    fn link(&mut self, element: &Element, name: String, parts: &mut Parts<'f>) -> Result<Link, RobotError> {
+    fn link(
+        &mut self,
+        element: &Element,
+        name: String,
+        parts: &mut Parts<'f>,
+    ) -> Result<Link, RobotError> {
         let given = match self.compiler.from_geometry {
             FromGeometry::Always => None,
             _ => parts.inertial,
         };
         let weighs = given.is_none() && self.compiler.from_geometry != FromGeometry::Never;
-        for (geometry, class, frame) in &std::mem::take(&mut parts.geometries) {
-            self.geometry(geometry, class, (frame, parts), (false, weighs))?;
-        }
+        self.add_all(parts, (false, weighs))?;
         let (own, of) = match given {
             Some(inertial) => (self.inertial(inertial)?, inertial),
             None => (Inertia::sum(&parts.weights), element),
@@ -258,18 +307,26 @@ impl<'f> Reader<'f> {
     fn inertial(&self, element: &Element) -> Result<Inertia, RobotError> {
         element.need("mass")?;
         let mass_kg = element.number("mass")?.unwrap_or_default();
-        let moments = match (element.numbers::<6>("fullinertia")?, element.numbers::<3>("diaginertia")?) {
-            (Some(full), _) => full,
-            (None, Some([x, y, z])) => [x, y, z, 0.0, 0.0, 0.0],
-            (None, None) if mass_kg == 0.0 => [0.0; 6],
-            (None, None) => return Err(element.fail(Problem::Missing("diaginertia or fullinertia"))),
-        };
+        let moments =
+            match (element.numbers::<6>("fullinertia")?, element.numbers::<3>("diaginertia")?) {
+                (Some(full), _) => full,
+                (None, Some([x, y, z])) => [x, y, z, 0.0, 0.0, 0.0],
+                (None, None) if mass_kg == 0.0 => [0.0; 6],
+                (None, None) => {
+                    return Err(element.fail(Problem::Missing("diaginertia or fullinertia")));
+                }
+            };
         let own = Inertia { mass_kg, centre_m: Point3::origin(), about_centre: matrix(moments) };
         Ok(own.moved(&self.compiler.pose(element)?))
     }
 
     /// With bounds, and balanced where the file or the caller asks for it.
-    fn bounded(&mut self, mut own: Inertia, of: &Element, name: &str) -> Result<Inertia, RobotError> {
+    fn bounded(
+        &mut self,
+        mut own: Inertia,
+        of: &Element,
+        name: &str,
+    ) -> Result<Inertia, RobotError> {
         own.mass_kg = own.mass_kg.max(self.compiler.bound_mass);
         let bound = self.compiler.bound_inertia;
         if bound > 0.0 && own.about_centre.iter().all(|moment| moment.is_finite()) {
@@ -277,14 +334,16 @@ impl<'f> Reader<'f> {
             parted.eigenvalues.iter_mut().for_each(|moment| *moment = moment.max(bound));
             own.about_centre = parted.recompose();
         }
-        match own.problem() {
-            Some(_) if own.mass_kg >= 0.0 && (self.compiler.balances || self.options.balance_inertia) => {
-                self.note(format!("body {name}: its inertia is no body's, and was balanced"));
-                Ok(own.balanced())
-            }
-            Some(problem) => Err(of.fail(problem)),
-            None => Ok(own),
+        let balances =
+            own.mass_kg >= 0.0 && (self.compiler.balances || self.options.balance_inertia);
+        if let Some(problem) = own.problem().filter(|_| !balances) {
+            return Err(of.fail(problem));
         }
+        if own.is_of_a_body() {
+            return Ok(own);
+        }
+        self.note(doubt(name, balances));
+        Ok(if balances { own.balanced() } else { own })
     }
 }
 

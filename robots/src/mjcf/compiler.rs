@@ -69,14 +69,17 @@ impl Compiler {
         }
         if element.get("coordinate").is_some_and(|word| word != "local") {
             let what = "coordinate=\"global\"";
-            let remedy = "save the model with an MuJoCo that still converts it to local coordinates";
+            let remedy =
+                "save the model with an MuJoCo that still converts it to local coordinates";
             return Err(element.fail(Problem::Unsupported { what, remedy }));
         }
         if let Some(order) = element.get("eulerseq") {
             let letters = <[u8; 3]>::try_from(order.as_bytes()).ok();
-            let known = letters.filter(|letters| letters.iter().all(|letter| b"xyzXYZ".contains(letter)));
-            self.euler = known
-                .ok_or_else(|| element.fail(Problem::word("eulerseq", order, "three letters of xyzXYZ")))?;
+            let known =
+                letters.filter(|letters| letters.iter().all(|letter| b"xyzXYZ".contains(letter)));
+            self.euler = known.ok_or_else(|| {
+                element.fail(Problem::word("eulerseq", order, "three letters of xyzXYZ"))
+            })?;
         }
         for name in ["assetdir", "meshdir"] {
             if let Some(folder) = element.get(name) {
@@ -131,12 +134,12 @@ impl Compiler {
     /// The rotation that an element's attributes say: `quat` counts where there is no other.
     pub(super) fn rotation(&self, element: &Element) -> Result<UnitQuaternion<f64>, RobotError> {
         let bad = |name: &str| {
-            let found = rigidformer_runtime::files::shown(element.get(name).unwrap_or_default(), 80);
+            let found =
+                rigidformer_runtime::files::shown(element.get(name).unwrap_or_default(), 80);
             element.fail(Problem::Number { attribute: name.into(), found, expected: "a rotation" })
         };
-        let direction = |name: &str, v: Vector3<f64>| {
-            Unit::try_new(v, NO_DIRECTION).ok_or_else(|| bad(name))
-        };
+        let direction =
+            |name: &str, v: Vector3<f64>| Unit::try_new(v, NO_DIRECTION).ok_or_else(|| bad(name));
         if let Some([x, y, z, angle]) = element.numbers("axisangle")? {
             let axis = direction("axisangle", Vector3::new(x, y, z))?;
             return Ok(UnitQuaternion::from_axis_angle(&axis, self.angle(angle)));
@@ -146,7 +149,9 @@ impl Compiler {
             let y = Vector3::new(d, e, f);
             let y = direction("xyaxes", y - x.into_inner() * x.dot(&y))?;
             let columns = Matrix3::from_columns(&[x.into_inner(), y.into_inner(), x.cross(&y)]);
-            return Ok(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(columns)));
+            return Ok(UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(
+                columns,
+            )));
         }
         if let Some(z) = element.numbers("zaxis")? {
             return Ok(from_z(&direction("zaxis", Vector3::from(z))?));

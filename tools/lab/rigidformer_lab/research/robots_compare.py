@@ -21,10 +21,12 @@ import numpy as np
 
 # Bodies without mass are frames alone: below this a difference says nothing.
 LEAST_KG = 1e-9
+# Likewise of moments, kg m^2, and MuJoCo takes none that are zero.
+LEAST = 1e-12
 GOOD = 1e-4
 
 
-def without_shapes(path: str) -> str:
+def without_shapes(path: str, balances: bool) -> str:
     """A URDF as MuJoCo is to read it: links and joints alone."""
     root = ElementTree.parse(path).getroot()
     for link in root.findall("link"):
@@ -41,22 +43,30 @@ def without_shapes(path: str) -> str:
             joint.remove(limit)
         if joint.get("type") == "revolute":
             joint.set("type", "continuous")
-    ElementTree.SubElement(root, "link", name="of_the_comparison")
-    floating = ElementTree.SubElement(root, "joint", name="of_the_comparison", type="floating")
-    ElementTree.SubElement(floating, "parent", link="of_the_comparison")
-    ElementTree.SubElement(floating, "child", link=first)
+    # Only below a link of that name may a link float.
+    if first != "world":
+        ElementTree.SubElement(root, "link", name="world")
+        floating = ElementTree.SubElement(root, "joint", name="of_the_comparison", type="floating")
+        ElementTree.SubElement(floating, "parent", link="world")
+        ElementTree.SubElement(floating, "child", link=first)
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(
-        extension, "compiler", fusestatic="false", inertiafromgeom="false", boundmass="1e-14", boundinertia="1e-14"
+        extension,
+        "compiler",
+        fusestatic="false",
+        inertiafromgeom="false",
+        boundmass="1e-14",
+        boundinertia="1e-14",
+        balanceinertia=str(balances).lower(),
     )
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def theirs(path: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
+def theirs(path: str, balances: bool) -> tuple[mujoco.MjModel, mujoco.MjData]:
     with open(path, encoding="utf-8", errors="replace") as file:
         is_urdf = "<robot" in file.read()
     if is_urdf:
-        model = mujoco.MjModel.from_xml_string(without_shapes(path))
+        model = mujoco.MjModel.from_xml_string(without_shapes(path, balances))
     else:
         model = mujoco.MjModel.from_xml_path(path)
     data = mujoco.MjData(model)
@@ -82,12 +92,12 @@ def rotation(pose: list[float]) -> np.ndarray:
 
 
 def relative(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a - b) / max(np.linalg.norm(b), 1e-300))
+    return float(np.linalg.norm(a - b) / max(np.linalg.norm(b), LEAST))
 
 
 def compare(path: str, arguments: argparse.Namespace) -> dict:
     robot = ours(path, arguments)
-    model, data = theirs(path)
+    model, data = theirs(path, "--balance" in arguments.options)
     # Several joints of a body hang from links without mass here.
     is_between = re.compile(r".*/\d+$")
     links = [
@@ -102,6 +112,7 @@ def compare(path: str, arguments: argparse.Namespace) -> dict:
         number = by_name.get(link["name"], place if place < len(names) and not names[place] else None)
         if number is None:
             raise RuntimeError(f"MuJoCo has no body {link['name']}")
+        # The world weighs nothing.
         if number == 0:
             continue
         compared += 1

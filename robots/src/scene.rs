@@ -103,7 +103,7 @@ impl Robot {
     /// let robot = parse_robot("arm.xml".as_ref(), arm, &LoadOptions::default())?;
     /// let made = robot.scene(&SceneOptions::default())?;
     /// let scene = &made.scene;
-    /// let model = LoadedModel::from_bytes(rigidformer_weights::EDGE.to_vec())?;
+    /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
     /// let mut world = World::new(&model, Limits { units: 2, points: 64 })?;
     /// let units = scene.units().iter();
     /// let posed = units.map(|unit| Posed { unit: unit.as_unit(), previous: unit.poses[0], current: unit.poses[1] });

@@ -252,7 +252,7 @@ pub(crate) fn some_numbers(text: &str, most: usize) -> Option<Vec<f64>> {
     for word in text.split_ascii_whitespace() {
         let number: f64 = word.parse().ok()?;
         // Larger ones square to no number.
-        if !(number.abs() <= MOST) || found.len() == most {
+        if number.is_nan() || number.abs() > MOST || found.len() == most {
             return None;
         }
         found.push(number);

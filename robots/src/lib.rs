@@ -13,9 +13,11 @@
 mod describe;
 mod error;
 mod inertia;
+mod load;
 mod merge;
 mod meshes;
 mod mjcf;
+mod options;
 mod robot;
 mod sample;
 mod scene;
@@ -27,9 +29,8 @@ mod xml;
 
 pub use error::{Problem, RobotError};
 pub use inertia::Inertia;
-pub use robot::{
-    JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, load_robot, load_robot_with,
-    parse_robot,
-};
+pub use load::{load_robot, load_robot_with, parse_robot};
+pub use options::LoadOptions;
+pub use robot::{JointKind, Link, Mimic, Robot, RobotJoint};
 pub use scene::{RobotScene, SceneOptions};
 pub use sets::{MeshSetOptions, load_meshes};

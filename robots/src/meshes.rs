@@ -11,7 +11,7 @@ use rigidformer_runtime::mesh::{self, Format, Group, MeshError, TriangleMesh};
 
 use crate::error::{Problem, SHOWN};
 use crate::inertia::{Inertia, symmetric};
-use crate::robot::LoadOptions;
+use crate::options::LoadOptions;
 
 /// Folders above the robot's own that packages and meshes may lie in.
 const UPWARDS: usize = 4;

@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 use crate::error::{Problem, RobotError};
 use crate::inertia::Inertia;
 use crate::meshes::Meshes;
-use crate::robot::{Link, LoadOptions, Robot};
+use crate::options::LoadOptions;
+use crate::robot::{Link, Robot};
 use crate::tree::ordered;
 use crate::xml::{self, Element, MOST_DEPTH};
 

@@ -1,27 +1,10 @@
 //! Robots: links, joints, and where links are.
 
-use std::path::Path;
-
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, UnitVector3, Vector3};
 use rigidformer_runtime::mesh::TriangleMesh;
 
 use crate::error::RobotError;
 use crate::inertia::Inertia;
-use crate::{mjcf, urdf};
-
-/// What to do with a file's meshes and links. The default reads all.
-#[derive(Clone, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub struct LoadOptions {
-    /// Folders in which packages are looked for (`package://NAME/...`): a package's own folder, or one that holds it.
-    pub package_paths: Vec<std::path::PathBuf>,
-    /// Passes over meshes that are not found; their links have no such shape.
-    pub skip_missing_meshes: bool,
-    /// Makes one link of those that fixed joints hold together.
-    pub merge_fixed: bool,
-    /// Gives a link whose moments no body has those of a ball of the same sum, as MuJoCo's `balanceinertia`.
-    pub balance_inertia: bool,
-}
 
 /// A robot, as its file describes it: metres, kilograms, radians.
 #[derive(Clone, Debug, PartialEq)]
@@ -178,103 +161,6 @@ impl RobotJoint {
 /// The rotation of w, x, y, z of any length above 0.
 pub(crate) fn turn([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-12)
-}
-
-/// Reads a robot: URDF, or MJCF. Files that do not begin with `<robot` or `<mujoco` are refused by name, with the remedy.
-///
-/// ```
-/// let folder = tempfile::tempdir()?;
-/// let file = folder.path().join("pendulum.urdf");
-/// std::fs::write(&file, r#"<robot name="pendulum">
-///   <link name="base"/>
-///   <link name="rod">
-///     <inertial><origin xyz="0 0 -0.5"/><mass value="2"/>
-///       <inertia ixx="0.1" iyy="0.1" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial>
-///     <collision><origin xyz="0 0 -0.5"/><geometry><box size="0.05 0.05 1"/></geometry></collision>
-///   </link>
-///   <joint name="hinge" type="continuous">
-///     <parent link="base"/><child link="rod"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
-///   </joint>
-/// </robot>"#)?;
-/// let robot = rigidformer_robots::load_robot(&file)?;
-/// assert_eq!((robot.links.len(), robot.joints.len()), (2, 1));
-/// let poses = robot.poses(&[std::f64::consts::FRAC_PI_2])?;
-/// let end = poses[1] * nalgebra::Point3::new(0.0, 0.0, -1.0);
-/// assert!((end - nalgebra::Point3::new(-1.0, 0.0, 1.0)).norm() < 1e-12);
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-///
-/// # Errors
-/// [`RobotError`]: which file, which element in which line, and the remedy.
-pub fn load_robot(path: &Path) -> Result<Robot, RobotError> {
-    load_robot_with(path, &LoadOptions::default())
-}
-
-/// As [`load_robot`], with options.
-///
-/// ```no_run
-/// use rigidformer_robots::{LoadOptions, load_robot_with};
-/// let mut options = LoadOptions::default();
-/// options.package_paths.push("ros/src".into());
-/// options.merge_fixed = true;
-/// let robot = load_robot_with("ros/src/arm_description/urdf/arm.urdf".as_ref(), &options)?;
-/// # Ok::<(), rigidformer_robots::RobotError>(())
-/// ```
-///
-/// # Errors
-/// As [`load_robot`].
-pub fn load_robot_with(path: &Path, options: &LoadOptions) -> Result<Robot, RobotError> {
-    refuse(path)?;
-    let root = crate::xml::read(path)?;
-    read_root(path, &root, options)
-}
-
-/// A robot of a file that is in memory; its meshes and includes lie beside `path`, which errors name.
-///
-/// # Errors
-/// As [`load_robot`].
-pub fn parse_robot(path: &Path, bytes: &[u8], options: &LoadOptions) -> Result<Robot, RobotError> {
-    refuse(path)?;
-    read_root(path, &crate::xml::parse(path, bytes)?, options)
-}
-
-fn read_root(
-    path: &Path,
-    root: &crate::xml::Element,
-    options: &LoadOptions,
-) -> Result<Robot, RobotError> {
-    let refused = |found, remedy| Err(RobotError::Format { path: path.into(), found, remedy });
-    let mut robot = match root.tag.as_str() {
-        "robot" => urdf::robot(root, options)?,
-        "mujoco" => mjcf::robot(path, root, options)?,
-        "sdf" => return refused("SDF", SDF),
-        _ => {
-            return refused(
-                "neither URDF nor MJCF",
-                "give a file whose first element is <robot> or <mujoco>",
-            );
-        }
-    };
-    if options.merge_fixed {
-        robot = crate::merge::fixed(robot);
-    }
-    Ok(robot)
-}
-
-const SDF: &str = "give the URDF that it was made of, or convert it to MJCF or URDF";
-const USD: &str = "export it as URDF or MJCF from the program that wrote it";
-
-/// Refuses formats by the ends of their names.
-fn refuse(path: &Path) -> Result<(), RobotError> {
-    let end = path.extension().and_then(|end| end.to_str()).map(str::to_ascii_lowercase);
-    let (found, remedy) = match end.as_deref() {
-        Some("sdf") => ("SDF", SDF),
-        Some("usd" | "usda" | "usdc" | "usdz") => ("USD", USD),
-        Some("xacro") => ("a macro of xacro", "expand it first: xacro FILE > robot.urdf"),
-        Some("mjb") => ("a compiled model of MuJoCo", "give the MJCF that it was made of"),
-        _ => return Ok(()),
-    };
-    Err(RobotError::Format { path: path.into(), found, remedy })
 }
 
 impl Robot {

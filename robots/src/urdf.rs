@@ -10,7 +10,8 @@ use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, UnitVector3, Vec
 use crate::error::{Problem, RobotError};
 use crate::inertia::{Inertia, doubt, matrix};
 use crate::meshes::Meshes;
-use crate::robot::{JointKind, Link, LoadOptions, Mimic, Robot, RobotJoint, turn};
+use crate::options::LoadOptions;
+use crate::robot::{JointKind, Link, Mimic, Robot, RobotJoint, turn};
 use crate::solid::Solid;
 use crate::tree::{MOST_GEOMETRIES, MOST_LINKS, Shapes, ordered};
 use crate::xml::Element;

@@ -175,7 +175,7 @@ impl Robot {
 /// InputError
 ///     It is no robot: says which element, in which line, and the remedy.
 ///
-/// Source: ``robots/src/robot.rs``.
+/// Source: ``robots/src/load.rs``.
 ///
 /// >>> import os, tempfile, rigidformer as rf
 /// >>> text = "<mujoco><worldbody><body name='ball' pos='0 0 1'><freejoint/><geom size='.1'/></body></worldbody></mujoco>"

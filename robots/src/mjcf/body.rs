@@ -10,7 +10,8 @@ use super::defaults::{Defaults, MAIN};
 use crate::error::{Problem, RobotError};
 use crate::inertia::{Inertia, doubt, matrix};
 use crate::meshes::{MeshInertia, Meshes};
-use crate::robot::{JointKind, Link, LoadOptions, RobotJoint};
+use crate::options::LoadOptions;
+use crate::robot::{JointKind, Link, RobotJoint};
 use crate::tree::{MOST_LINKS, Shapes};
 use crate::xml::Element;
 

@@ -191,7 +191,11 @@ impl Robot {
     fn statics(&self, fixed_base: bool) -> Vec<bool> {
         let mut statics = vec![false; self.links.len()];
         if let Some(first) = statics.first_mut() {
-            *first = self.is_in_world || fixed_base;
+            // A root of mass 0 that has a shape is scenery: tables and grounds are written so.
+            let is_scenery = self.links.first().is_some_and(|link| {
+                link.inertia.mass_kg == 0.0 && !link.surface.triangles.is_empty()
+            });
+            *first = self.is_in_world || fixed_base || is_scenery;
         }
         for joint in &self.joints {
             let above = statics.get(joint.parent) == Some(&true);

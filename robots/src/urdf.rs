@@ -290,10 +290,13 @@ fn joints(
         let kind = match element.need("type")? {
             "fixed" => JointKind::Fixed,
             "continuous" => JointKind::Continuous { axis: axis(element)? },
-            "revolute" => JointKind::Revolute {
-                axis: axis(element)?,
-                limits: limits(element)?.ok_or_else(|| element.fail(Problem::Missing("limit")))?,
-            },
+            "revolute" => {
+                element.child("limit").ok_or_else(|| element.fail(Problem::Missing("limit")))?;
+                match limits(element)? {
+                    Some(limits) => JointKind::Revolute { axis: axis(element)?, limits },
+                    None => JointKind::Continuous { axis: axis(element)? },
+                }
+            }
             "prismatic" => JointKind::Prismatic { axis: axis(element)?, limits: limits(element)? },
             "floating" => JointKind::Free,
             "spherical" => JointKind::Ball,
@@ -385,20 +388,10 @@ fn across(normal: &UnitVector3<f64>) -> [UnitVector3<f64>; 2] {
     [first, UnitVector3::new_normalize(normal.cross(&first))]
 }
 
-/// Least and greatest position.
+/// Least and greatest position; none where they do not rise, which stands for no limits in MuJoCo and PyBullet too.
 fn limits(element: &Element) -> Result<Option<[f64; 2]>, RobotError> {
     let Some(limit) = element.child("limit") else { return Ok(None) };
     let lower = limit.number("lower")?.unwrap_or(0.0);
     let upper = limit.number("upper")?.unwrap_or(0.0);
-    match lower <= upper {
-        true => Ok(Some([lower, upper])),
-        false => {
-            let attribute = "upper".to_owned();
-            Err(limit.fail(Problem::Number {
-                attribute,
-                found: upper.to_string(),
-                expected: "at least lower",
-            }))
-        }
-    }
+    Ok((lower <= upper).then_some([lower, upper]))
 }

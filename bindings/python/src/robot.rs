@@ -145,7 +145,12 @@ impl Robot {
 
     fn __repr__(&self) -> String {
         let robot = &self.robot;
-        format!("Robot('{}', {} links, {} joints)", robot.name, robot.links.len(), robot.joints.len())
+        format!(
+            "Robot('{}', {} links, {} joints)",
+            robot.name,
+            robot.links.len(),
+            robot.joints.len()
+        )
     }
 }
 

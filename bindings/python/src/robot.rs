@@ -86,7 +86,7 @@ impl Robot {
     ) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
         let positions = positions.unwrap_or_else(|| self.robot.rest());
         let poses = self.robot.poses(&positions).or_raise()?;
-        let poses: Vec<Isometry3<f32>> = poses.iter().map(Isometry3::cast).collect();
+        let poses: Vec<Isometry3<f32>> = poses.iter().map(|pose| pose.cast()).collect();
         arrays::array_of_poses(py, poses.iter(), &[poses.len()])
     }
 

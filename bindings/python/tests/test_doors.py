@@ -495,7 +495,7 @@ def test_ctrl_c_ends_a_batch_of_many_futures(futures):
     assert said == "interrupted\n"
 
 
-def test_a_robot_is_read_and_makes_a_scene(tmp_path: pathlib.Path) -> None:
+def test_a_robot_is_read_and_makes_a_scene(tmp_path: Path) -> None:
     file = tmp_path / "arm.urdf"
     inertial = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1'/></inertial>"
     shape = "<collision><geometry><box size='.1 .1 .1'/></geometry></collision>"

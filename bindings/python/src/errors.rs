@@ -14,6 +14,7 @@ use pyo3::types::PyType;
 use rigidformer_core::StepError;
 use rigidformer_evaluation::contact::ContactError;
 use rigidformer_evaluation::scenes::{Problem, SceneError};
+use rigidformer_robots::RobotError;
 use rigidformer_runtime::files::FileError;
 use rigidformer_runtime::futures::BatchError;
 use rigidformer_runtime::models::ModelError;
@@ -116,6 +117,9 @@ fn path_of<'e>(error: &'e (dyn Error + 'static)) -> Option<&'e Path> {
         return Some(&file.path);
     }
     if let Some(ContactError::File(file)) = error.downcast_ref() {
+        return Some(&file.path);
+    }
+    if let Some(RobotError::File(file)) = error.downcast_ref() {
         return Some(&file.path);
     }
     let file = error.downcast_ref::<FileError>().map(|error| error.path.as_path());

@@ -9,6 +9,7 @@
 //! | `pushing`, `walking` | planners that know what they plan |
 //! | `perception` | depth images and clouds, and the tracker |
 //! | `pack` | models packed, and said more about |
+//! | `robot` | robots from URDF and MJCF files |
 //! | `tools` | check, evaluate |
 //! | `windows` | what training learns from |
 //! | `arrays` | numpy arrays as slices, and back |
@@ -36,6 +37,7 @@ mod perception;
 mod pickle;
 mod planner;
 mod pushing;
+mod robot;
 mod rollout;
 mod scene;
 mod tools;
@@ -64,6 +66,8 @@ mod _native {
     use super::planner::{Cem, Commands, Launch, Mppi, Parameter, Plan, Planner};
     #[pymodule_export]
     use super::pushing::{PushGoal, PushPlan, PushPlanner};
+    #[pymodule_export]
+    use super::robot::{Robot, load_meshes, load_robot};
     #[pymodule_export]
     use super::rollout::{Trajectory, falling, rollout};
     #[pymodule_export]

@@ -493,3 +493,25 @@ def test_ctrl_c_ends_a_batch_of_many_futures(futures):
     said, _ = child.communicate(timeout=60)
     print(f"{futures} futures: ended {time.monotonic() - sent:.2f} s after the signal")
     assert said == "interrupted\n"
+
+
+def test_a_robot_is_read_and_makes_a_scene(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    inertial = "<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1'/></inertial>"
+    shape = "<collision><geometry><box size='.1 .1 .1'/></geometry></collision>"
+    links = "".join(f"<link name='{name}'>{inertial}{shape}</link>" for name in "ab")
+    joint = "<joint name='j' type='continuous'><parent link='a'/><child link='b'/><origin xyz='0 0 1'/></joint>"
+    file.write_text(f"<robot name='arm'>{links}{joint}</robot>")
+    robot = rf.load_robot(file)
+    assert robot.links == ["a", "b"] and robot.rest == [0.0] and robot.mass_kg == 2.0
+    assert robot.poses([0.0])[1, 2] == 1.0
+    assert [joint["kind"] for joint in robot.describe()["joints"]] == ["continuous"]
+    scene = robot.scene(points=16, fixed_base=True)
+    assert [len(unit.points) for unit in scene.units] == [16, 16]
+    with pytest.raises(rf.InputError, match="positions"):
+        robot.poses([])
+    file.write_text("<sdf/>")
+    with pytest.raises(rf.InputError, match="SDF"):
+        rf.load_robot(file)
+    with pytest.raises(rf.FileError):
+        rf.load_robot(tmp_path / "none.urdf")

@@ -16,6 +16,8 @@ pub mod own_files;
 pub mod pieces;
 #[cfg(feature = "files")]
 pub mod recording;
+#[cfg(feature = "files")]
+pub mod robot;
 pub mod scene_file;
 #[cfg(feature = "program")]
 pub mod shown;

@@ -165,7 +165,7 @@ macro_rules! replays {
 replays! { c_calls export_file kernels_step model_file observe_step scene_file snapshot soft_step }
 
 #[cfg(feature = "files")]
-replays! { recording trace_file tracker }
+replays! { recording robot trace_file tracker }
 
 #[cfg(feature = "program")]
 replays! { identify own_files pieces shown }

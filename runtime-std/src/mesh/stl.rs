@@ -19,10 +19,7 @@ pub(super) fn read(bytes: &[u8]) -> Result<Vec<Group>, MeshError> {
             text.iter_mut().filter(|byte| !byte.is_ascii()).for_each(|byte| *byte = b'?');
             mesh_loader::stl::from_slice(&named(&text))
         }
-        false => {
-            check_length(bytes)?;
-            mesh_loader::stl::from_slice(bytes)
-        }
+        false => mesh_loader::stl::from_slice(&binary(bytes)?),
     };
     let scene = scene.map_err(|error| broken(error.to_string()))?;
     let groups = scene.meshes.into_iter().map(|mesh| Group {
@@ -67,12 +64,20 @@ fn named(text: &[u8]) -> Vec<u8> {
     named
 }
 
-/// Refuses a binary file that ends before its last triangle. The reader counts those that are there.
-fn check_length(bytes: &[u8]) -> Result<(), MeshError> {
+/// A binary file as the reader takes it: it counts the triangles that are there, and takes those that begin with `solid` for text
+/// where bytes follow the last triangle.
+fn binary(bytes: &[u8]) -> Result<Vec<u8>, MeshError> {
     let Some(said) = bytes.get(HEADER..HEADER + 4).and_then(|said| said.try_into().ok()) else {
         return Err(MeshError::broken("STL", "it has no header"));
     };
     let said = u64::from(u32::from_le_bytes(said));
     let found = (bytes.len() - HEADER - 4) as u64 / TRIANGLE;
-    if found < said { Err(MeshError::CutOff { found, said }) } else { Ok(()) }
+    if found < said {
+        return Err(MeshError::CutOff { found, said });
+    }
+    let mut whole = bytes.to_vec();
+    whole.truncate(HEADER + 4 + (said * TRIANGLE) as usize);
+    // What a header says besides is for people.
+    whole.iter_mut().take(HEADER).for_each(|byte| *byte = b' ');
+    Ok(whole)
 }

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod import;
+mod import_robot;
 mod inspect;
 mod model;
 mod render;
@@ -20,6 +21,7 @@ pub(crate) use calibrate::{Calibrate, Contact};
 pub(crate) use import::Import;
 #[cfg(feature = "import")]
 pub(crate) use import::{RepeatsName, UpAxis};
+pub(crate) use import_robot::ImportRobot;
 pub(crate) use inspect::Inspect;
 pub use model::Model;
 pub(crate) use render::Render;
@@ -59,6 +61,7 @@ fn after_help() -> String {
         ("calibrate", cfg!(feature = "calibrate")),
         ("identify", cfg!(feature = "identify")),
         ("import", cfg!(feature = "import")),
+        ("import-robot", cfg!(feature = "robots")),
         ("pieces", cfg!(feature = "pieces")),
         ("render", cfg!(feature = "sensors")),
         ("track", cfg!(feature = "sensors")),
@@ -93,6 +96,8 @@ pub(crate) enum Command {
     Check(Check),
     /// Make a scene file of your own recorded poses (CSV, npz), to train on and to measure by
     Import(Box<Import>),
+    /// Make a scene file of a robot (URDF, MJCF) or of a folder of meshes
+    ImportRobot(Box<ImportRobot>),
     /// Find friction, restitution and mass ratios of units from how they moved
     Identify(Identify),
     /// Fit contact's numbers to many recorded scenes: friction, restitution, table, inertia

@@ -20,6 +20,8 @@ mod evaluate;
 mod identify;
 #[cfg(feature = "import")]
 mod import;
+#[cfg(feature = "robots")]
+mod import_robot;
 mod inspect;
 mod interrupt;
 #[cfg(test)]
@@ -91,6 +93,9 @@ fn command(line: impl IntoIterator<Item = OsString>) -> anyhow::Result<()> {
         Command::Pieces(_arguments) => with!("pieces", "pieces", pieces::run(_arguments)),
         Command::Check(arguments) => check::run(arguments),
         Command::Import(_arguments) => with!("import", "import", import::run(_arguments)),
+        Command::ImportRobot(_arguments) => {
+            with!("import-robot", "robots", import_robot::run(_arguments))
+        }
         Command::Identify(_arguments) => with!("identify", "identify", identify::run(_arguments)),
         Command::Calibrate(_arguments) => {
             with!("calibrate", "calibrate", calibrate::run(_arguments))

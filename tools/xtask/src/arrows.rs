@@ -38,6 +38,15 @@ const ARROWS: &[(&str, &[&str])] = &[
         ],
     ),
     (
+        "rigidformer-robots",
+        &[
+            "rigidformer-evaluation",
+            "rigidformer-runtime",
+            "rigidformer-core",
+            "rigidformer-weights",
+        ],
+    ),
+    (
         "rigidformer-capi",
         &[
             "rigidformer-perception",
@@ -70,6 +79,7 @@ const WITHOUT_CIRCLES: &[&str] = &[
     "perception",
     "evaluation",
     "planning",
+    "robots",
     "bindings/c",
     "firmware-sim",
     "firmware-sim/firmware",

@@ -62,7 +62,7 @@ const LONG: u32 = 1 << 20;
 /// Mebibytes of a target's process, at most: what readers may take, and what libFuzzer itself keeps.
 const MEMORY_MIB: u32 = 2048;
 
-const TARGETS: [Target; 15] = [
+const TARGETS: [Target; 16] = [
     target("model_file", LONG),
     target("observe_step", 4096),
     target("soft_step", 4096),
@@ -77,6 +77,7 @@ const TARGETS: [Target; 15] = [
     target("identify", LONG),
     target("shown", LONG),
     target("pieces", 16_384),
+    target("robot", 16_384),
     Target { sanitizer: Sanitizer::Address, ..target("c_calls", 4096) },
 ];
 

@@ -17,7 +17,7 @@ const CYCLONEDX: Program =
 const BILL: &str = "rigidformer-bill";
 
 /// What is published.
-const CRATES: [&str; 10] = [
+const CRATES: [&str; 11] = [
     "rigidformer-weights",
     "rigidformer-core",
     "rigidformer-kernels",
@@ -26,6 +26,7 @@ const CRATES: [&str; 10] = [
     "rigidformer-capi",
     "rigidformer-evaluation",
     "rigidformer-planning",
+    "rigidformer-robots",
     "rigidformer-firmware-sim",
     "rigidformer-cli",
 ];

@@ -17,13 +17,14 @@ const MDBOOK: Program = Program { name: "mdbook", version: Some("0.5.4"), featur
 const BOOK: &str = "docs/book";
 const IMAGES: &str = "docs/images";
 /// Where the API's documentation begins.
-const API: [&str; 10] = [
+const API: [&str; 11] = [
     "rigidformer_core",
     "rigidformer_runtime",
     "rigidformer_kernels",
     "rigidformer_perception",
     "rigidformer_evaluation",
     "rigidformer_planning",
+    "rigidformer_robots",
     "rigidformer_weights",
     "rigidformer_capi",
     "rigidformer_firmware_sim",

@@ -338,6 +338,42 @@ class Dataset:
     def __len__(self, /) -> int: ...
 
 @final
+class Robot:
+    @property
+    def name(self) -> str: ...
+    @property
+    def links(self) -> list[str]: ...
+    @property
+    def mass_kg(self) -> float: ...
+    @property
+    def notes(self) -> list[str]: ...
+    @property
+    def rest(self) -> list[float]: ...
+    def describe(self) -> dict[str, Any]: ...
+    def poses(self, positions: Optional[Sequence[float]] = None) -> _Floats: ...
+    def scene(
+        self,
+        *,
+        points: int = 32,
+        positions: Optional[Sequence[float]] = None,
+        at: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        fixed_base: bool = False,
+        principal_frames: bool = False,
+        frame_rate_hz: float = 60.0,
+    ) -> Scene: ...
+    def __bool__(self, /) -> bool: ...
+
+def load_robot(
+    path: _Path,
+    *,
+    package_paths: Sequence[_Path] = [],
+    skip_meshes: bool = False,
+    merge_fixed: bool = False,
+    balance: bool = False,
+) -> Robot: ...
+def load_meshes(folder: _Path, *, density_kg_m3: float = 1000.0, scale: float = 1.0) -> Robot: ...
+
+@final
 class Scene:
     def __new__(
         cls,

@@ -25,7 +25,9 @@ pub(super) const MOST_SUBSTEPS: u8 = 96;
 const ROUNDS: u8 = 4;
 /// Rounds that close what is open before a step, without velocity.
 const CLOSING: u8 = 12;
-/// And after a substep: contact pushes units apart.
+/// Turns of a round, at most, rad.
+const MOST_TURN: f32 = 0.5;
+/// Rounds of closing after a substep: contact pushes units apart.
 const CLOSING_LATER: u8 = 2;
 /// Rounds in which joints reach limits, leave them, or give in.
 const CHOICES: u8 = 4;
@@ -357,10 +359,14 @@ impl<'r> Trees<'r> {
                 break;
             }
             self.solve(world, |trees, number, _| trees.limbs.change(number));
+            let turns = (0..self.count).map(|place| self.limbs.change(self.limbs.listed(place)).turn);
+            let turn = turns.fold(0.0_f32, |most, turn| most.max(turn.amax()));
+            // Ways are straight, and a stretched chain that is too short would whirl.
+            let share = if turn > MOST_TURN { MOST_TURN / turn } else { 1.0 };
             for place in 0..self.count {
                 let Some((number, unit, head)) = self.member(world.units, place) else { continue };
                 if matches!(head.place, Place::Root | Place::Hangs) {
-                    let change = self.limbs.change(number);
+                    let change = self.limbs.change(number).times(share);
                     bodies.advance_by(number, unit, [change.way, change.turn]);
                     bodies.square(number);
                 }
@@ -385,6 +391,10 @@ impl<'r> Trees<'r> {
             let Hinge { mut gap, mut tilt, position, axis } = hinge;
             let [lever, arm, _] = self.limbs.levers(number);
             let reach = (norm(&lever) + norm(&arm)) + unit.radius;
+            if time_s.is_some() {
+                let open = self.limbs.open(number);
+                (gap, tilt) = (gap - open.way, tilt - open.turn);
+            }
             if let Some(time_s) = time_s.filter(|_| head.mode.is_locked()) {
                 let lacks = (head.position + head.rate * time_s) - position;
                 match above.guide.way {
@@ -546,6 +556,12 @@ impl<'r> Trees<'r> {
                     bodies.moves(number, &mover);
                 }
             }
+        }
+        // What cannot be closed, as between two that are held, is nothing to speed up for.
+        self.note_gaps(world, bodies, None);
+        for place in 0..self.count {
+            let number = self.limbs.listed(place);
+            self.limbs.set_open(number, &self.limbs.change(number));
         }
         for round in 0..=ROUNDS {
             self.drift(world, bodies, false);

@@ -10,7 +10,7 @@ const HEAD: usize = 9;
 const LEVERS: usize = 9;
 const GAINS: usize = 3 * SIX + SIX;
 const LOADS: usize = 3 * SIX;
-const START: usize = 9 + SIX;
+const START: usize = 9 + SIX + SIX;
 /// Numbers of a unit.
 pub(in super::super) const LIMB: usize = HEAD + LEVERS + INERTIA + GAINS + LOADS + START;
 
@@ -254,17 +254,30 @@ impl<'r> Limbs<'r> {
 
     /// The rotation at the start of the substep, and the way and turn since the step began.
     pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, Six) {
-        let Some([a, b, c, d, e, f, g, h, i, moved @ ..]) = self.starts.get(number) else {
+        let Some([a, b, c, d, e, f, g, h, i, p, q, r, s, t, u, ..]) = self.starts.get(number) else {
             return (Matrix3::identity(), Six::ZERO);
         };
         let pose = read_pose(&[*a, *b, *c, *d, *e, *f, *g, *h, *i, 0.0, 0.0, 0.0]);
-        (pose.rotation, Six::read(moved))
+        (pose.rotation, Six::read(&[*p, *q, *r, *s, *t, *u]))
     }
 
     pub(super) fn set_start(&mut self, number: usize, (rotation, moved): &(Matrix3<f32>, Six)) {
         let Some(row) = self.starts.get_mut(number) else { return };
         let [x, y, z] = columns(rotation);
         let [p, q, r, s, t, u] = moved.row();
-        *row = [x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z, p, q, r, s, t, u];
+        let start = [x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z, p, q, r, s, t, u];
+        row.iter_mut().zip(start).for_each(|(to, from)| *to = from);
+    }
+
+    /// What a joint lacked at the start of the substep, and will go on to lack.
+    pub(super) fn open(&self, number: usize) -> Six {
+        let row = self.starts.get(number).and_then(|row| row.last_chunk());
+        row.map_or(Six::ZERO, Six::read)
+    }
+
+    pub(super) fn set_open(&mut self, number: usize, open: &Six) {
+        if let Some(row) = self.starts.get_mut(number).and_then(|row| row.last_chunk_mut()) {
+            *row = open.row();
+        }
     }
 }

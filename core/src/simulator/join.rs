@@ -83,7 +83,8 @@ impl Simulator<'_, '_> {
         if hangs_from(copy, joint.parent, joint.unit) {
             return Err(JoinError::Circle { id: joint.unit, parent: joint.parent });
         }
-        let rotation = |id| self.pose(id).map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
+        let rotation =
+            |id| self.pose(id).map_or_else(UnitQuaternion::identity, |pose| pose.rotation);
         let rest = match joint.rest {
             Some(rest) => rest,
             None => rotation(joint.parent).inverse() * rotation(joint.unit),

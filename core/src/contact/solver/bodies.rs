@@ -6,13 +6,13 @@ use super::trees::{self, Trees};
 use crate::contact::ground::Plane;
 use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;
+#[cfg(feature = "robot")]
+use crate::geometry::squared;
 use crate::geometry::{
     POSE, Pose, STATE, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
 };
 use crate::math;
 use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
-#[cfg(feature = "robot")]
-use crate::geometry::squared;
 #[cfg(feature = "robot")]
 use crate::structure::articulation::Six;
 use nalgebra::{Matrix3, Point3, Vector3};

@@ -30,8 +30,8 @@ use bodies::{Bodies, FAR, TICKS, Touched, World};
 use contacts::Contacts;
 #[cfg(rigidformer_host)]
 use contacts::SLOTS;
-use trees::Trees;
 use nalgebra::Vector3;
+use trees::Trees;
 
 /// Room for contacts, a unit of a copy with so many: the workspace has a size that is known ahead. A copy with M units has M times as many.
 pub(crate) const fn contacts_of(units: usize) -> usize {
@@ -57,8 +57,10 @@ pub(crate) const fn extra(units: usize) -> usize {
     numbers
 }
 
-const _: () =
-    assert!(scratch(FEW) - trees::LIMB <= 465, "every unit of every copy pays for the solver's scratch");
+const _: () = assert!(
+    scratch(FEW) - trees::LIMB <= 465,
+    "every unit of every copy pays for the solver's scratch"
+);
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
@@ -103,8 +105,7 @@ fn solve_with<S: Schedule>(
     // What hangs from something wakes with it.
     let may_rest = may_rest && !world.has_trees();
     let (mut bodies, mut contacts, mut trees) = carve(scratch, prior, world.units);
-    let is_done =
-        in_substeps(schedule, &world, (&mut bodies, &mut contacts, &mut trees), may_rest);
+    let is_done = in_substeps(schedule, &world, (&mut bodies, &mut contacts, &mut trees), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
         // Contact sent a unit out of its range: nothing is certain to stay as it is.

@@ -112,8 +112,8 @@ impl<'r> Trees<'r> {
             for number in 0..units.len() {
                 let head = self.limbs.head(number);
                 let hangs = matches!(head.place, Place::Hangs | Place::HeldBelow);
-                let is_next = hangs
-                    && (listed..until).any(|place| self.limbs.listed(place) == head.parent);
+                let is_next =
+                    hangs && (listed..until).any(|place| self.limbs.listed(place) == head.parent);
                 if is_next {
                     self.limbs.list(self.count, number);
                     self.count += 1;
@@ -128,7 +128,11 @@ impl<'r> Trees<'r> {
     }
 
     /// Members with their numbers, slots and heads, parents first.
-    fn member<'u>(&self, units: &'u [UnitSlot], place: usize) -> Option<(usize, &'u UnitSlot, Head)> {
+    fn member<'u>(
+        &self,
+        units: &'u [UnitSlot],
+        place: usize,
+    ) -> Option<(usize, &'u UnitSlot, Head)> {
         let number = self.limbs.listed(place);
         Some((number, units.get(number)?, self.limbs.head(number)))
     }
@@ -329,9 +333,7 @@ impl<'r> Trees<'r> {
         let [lever, arm, axis] = self.limbs.levers(number);
         let (own, parent) = (bodies.mover(number), bodies.mover(head.parent));
         match above.guide.way {
-            Way::Slides => {
-                dot(&axis, &(own.speed_at(&arm) - parent.speed_at(&(lever + arm))))
-            }
+            Way::Slides => dot(&axis, &(own.speed_at(&arm) - parent.speed_at(&(lever + arm)))),
             _ => dot(&axis, &(own.spin - parent.spin)),
         }
     }
@@ -359,7 +361,8 @@ impl<'r> Trees<'r> {
                 break;
             }
             self.solve(world, |trees, number, _| trees.limbs.change(number));
-            let turns = (0..self.count).map(|place| self.limbs.change(self.limbs.listed(place)).turn);
+            let turns =
+                (0..self.count).map(|place| self.limbs.change(self.limbs.listed(place)).turn);
             let turn = turns.fold(0.0_f32, |most, turn| most.max(turn.amax()));
             // Ways are straight, and a stretched chain that is too short would whirl.
             let share = if turn > MOST_TURN { MOST_TURN / turn } else { 1.0 };
@@ -382,8 +385,8 @@ impl<'r> Trees<'r> {
         for place in 0..self.count {
             let Some((number, unit, head)) = self.member(world.units, place) else { continue };
             let above = Self::joint(unit).filter(|_| head.place.hangs());
-            let hinge =
-                above.and_then(|above| Some((above, self.hinge(world, bodies, (number, unit), above)?)));
+            let hinge = above
+                .and_then(|above| Some((above, self.hinge(world, bodies, (number, unit), above)?)));
             let Some((above, hinge)) = hinge else {
                 self.limbs.set_change(number, &Six::ZERO);
                 continue;
@@ -436,10 +439,17 @@ impl<'r> Trees<'r> {
             let Some(above) = above.filter(|above| above.guide.way.has_axis()) else { continue };
             let Some(hinge) = self.hinge(world, bodies, (number, unit), above) else { continue };
             let mut head = Head { position: hinge.position, held: 0.0, push: 0.0, ..before };
-            let scale = if above.guide.way == Way::Slides { world.scene.measure.length() } else { 1.0 };
+            let scale =
+                if above.guide.way == Way::Slides { world.scene.measure.length() } else { 1.0 };
             if let Some(target) = above.guide.target {
                 let [least, most] = above.guide.limits;
-                let way = if target < least { least } else if target > most { most } else { target };
+                let way = if target < least {
+                    least
+                } else if target > most {
+                    most
+                } else {
+                    target
+                };
                 let way = way / scale - head.position;
                 let way = if above.guide.way == Way::Turns { whole_turn(way) } else { way };
                 (head.mode, head.rate) = (Mode::Driven, way / left_s);
@@ -497,7 +507,8 @@ impl<'r> Trees<'r> {
             let above = Self::joint(unit).filter(|_| head.place.hangs());
             let Some(above) = above.filter(|above| above.guide.way.has_axis()) else { continue };
             let before = head.mode;
-            let scale = if above.guide.way == Way::Slides { world.scene.measure.length() } else { 1.0 };
+            let scale =
+                if above.guide.way == Way::Slides { world.scene.measure.length() } else { 1.0 };
             let [least, most] = above.guide.limits.map(|limit| limit / scale);
             let next = head.position + self.rate(bodies, number, above) * time;
             match before {
@@ -677,16 +688,11 @@ fn spun(
             _ => (momentum.x, momentum.y) = (p, q),
         }
     }
-    let rotation =
-        squared(&Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z));
+    let rotation = squared(&Matrix3::new(x.x, y.x, z.x, x.y, y.y, z.y, x.z, y.z, z.z));
     (rotation, rotate(&rotation, &momentum.component_div(moments)))
 }
 
 /// A symmetric matrix (xx, yy, zz, xy, xz, yz) times three numbers.
 fn weigh_three([xx, yy, zz, xy, xz, yz]: &[f32; 6], [x, y, z]: [f32; 3]) -> [f32; 3] {
-    [
-        (xx * x + xy * y) + xz * z,
-        (xy * x + yy * y) + yz * z,
-        (xz * x + yz * y) + zz * z,
-    ]
+    [(xx * x + xy * y) + xz * z, (xy * x + yy * y) + yz * z, (xz * x + yz * y) + zz * z]
 }

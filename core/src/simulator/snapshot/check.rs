@@ -498,7 +498,8 @@ impl Simulator<'_, '_> {
             #[cfg(feature = "robot")]
             {
                 let guide = checked.guide(unit.at);
-                let is_ball = guide.is_some_and(|guide| guide.way == crate::structure::link::Way::Ball);
+                let is_ball =
+                    guide.is_some_and(|guide| guide.way == crate::structure::link::Way::Ball);
                 let may_be = is_ball || self.model.config().motion.has_impulses();
                 ensure(guide.is_some() && may_be, unit.at + UNIT)?;
             }

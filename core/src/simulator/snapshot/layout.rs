@@ -101,5 +101,7 @@ pub(super) fn code_of_way(way: Way) -> u32 {
 /// What a joint of a number leaves open.
 #[cfg(feature = "robot")]
 pub(super) fn way_of(code: u32) -> Option<Way> {
-    [Way::Ball, Way::Turns, Way::Slides, Way::Fixed].into_iter().find(|way| code_of_way(*way) == code)
+    [Way::Ball, Way::Turns, Way::Slides, Way::Fixed]
+        .into_iter()
+        .find(|way| code_of_way(*way) == code)
 }

@@ -196,7 +196,9 @@ impl Simulator<'_, '_> {
     fn is_guided(&self) -> bool {
         #[cfg(feature = "robot")]
         return self.scene.units().iter().any(|unit| {
-            unit.link.above.is_some_and(|above| above.guide.way != crate::structure::link::Way::Ball)
+            unit.link
+                .above
+                .is_some_and(|above| above.guide.way != crate::structure::link::Way::Ball)
         });
         #[cfg(not(feature = "robot"))]
         false

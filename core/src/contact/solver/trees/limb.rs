@@ -209,7 +209,9 @@ impl<'r> Limbs<'r> {
     pub(super) fn set_gains(&mut self, number: usize, gains: &[Six; 3], weights: &[f32; SIX]) {
         if let Some(row) = self.gains.get_mut(number) {
             let [x, y, z] = gains.map(|gain| gain.row());
-            row.iter_mut().zip([x, y, z, *weights].as_flattened()).for_each(|(to, from)| *to = *from);
+            row.iter_mut()
+                .zip([x, y, z, *weights].as_flattened())
+                .for_each(|(to, from)| *to = *from);
         }
     }
 
@@ -254,7 +256,8 @@ impl<'r> Limbs<'r> {
 
     /// The rotation at the start of the substep, and the way and turn since the step began.
     pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, Six) {
-        let Some([a, b, c, d, e, f, g, h, i, p, q, r, s, t, u, ..]) = self.starts.get(number) else {
+        let Some([a, b, c, d, e, f, g, h, i, p, q, r, s, t, u, ..]) = self.starts.get(number)
+        else {
             return (Matrix3::identity(), Six::ZERO);
         };
         let pose = read_pose(&[*a, *b, *c, *d, *e, *f, *g, *h, *i, 0.0, 0.0, 0.0]);

@@ -135,7 +135,8 @@ impl Simulator<'_, '_> {
             return Err(JoinError::NoAxis { id });
         }
         // A NaN compares as not within the limit.
-        if target.is_some_and(|target| !(target.abs() <= MAX_COORDINATE_M)) {
+        let is_near = |target: f32| target.abs() <= MAX_COORDINATE_M;
+        if !target.is_none_or(is_near) {
             return Err(JoinError::BadTarget { id });
         }
         for unit in self.scene.units_mut().iter_mut().filter(|unit| unit.id == id) {

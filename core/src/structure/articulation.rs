@@ -2,6 +2,7 @@
 //! (Featherstone's articulated body, here between units that keep poses of their own).
 
 use crate::geometry::{dot, product, rotate, rotate_back};
+use crate::structure::link::Way;
 use nalgebra::{Matrix3, Vector3};
 
 /// Numbers of a [`Six`] in a row.
@@ -81,6 +82,21 @@ impl Inertia {
             mixed: Matrix3::zeros(),
             turns: symmetric([x.x, y.y, z.z, y.x, z.x, z.y]),
         }
+    }
+
+    /// Of what nothing moves, at its pivot: so many kg against what a joint does not leave open, and as many at a radius against
+    /// turns. `open` is an axis that is not locked.
+    pub(crate) fn held(way: Way, open: Option<Vector3<f32>>, (mass, radius): (f32, f32)) -> Self {
+        let whole = Matrix3::identity();
+        let across = open.map_or(whole, |axis| whole - outer(&axis, &axis));
+        let (ways, turns) = match way {
+            Way::Ball => (whole, Matrix3::zeros()),
+            Way::Turns => (whole, across),
+            Way::Slides => (across, whole),
+            Way::Fixed => (whole, whole),
+        };
+        let moment = mass * (radius * radius);
+        Inertia { ways: ways * mass, mixed: Matrix3::zeros(), turns: turns * moment }
     }
 
     pub(crate) fn read(row: &[f32; INERTIA]) -> Self {

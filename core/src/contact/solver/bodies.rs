@@ -1,8 +1,8 @@
 //! The world that the solver works in, and units as it moves them.
 
+use super::trees::Trees;
 #[cfg(feature = "robot")]
-use super::SLACK;
-use super::trees::{self, Trees};
+use super::{SLACK, trees};
 use crate::contact::ground::Plane;
 use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;

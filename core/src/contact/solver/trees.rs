@@ -33,8 +33,10 @@ const CLOSING_LATER: u8 = 2;
 const CHOICES: u8 = 4;
 /// Gaps up to this are rounding, in levers; angles in radians.
 const ROUNDING: f32 = 4e-7;
-/// Of what hangs together the mass of a unit that nothing moves, where it hangs itself: impulses of others hardly move it.
-const HEAVY: f32 = 1e3;
+/// Of what hangs together the mass of a unit that nothing moves, where it hangs itself. More would leave thin links no digits.
+const HEAVY: f32 = 30.0;
+/// Passes that make velocities hold then: each leaves a thirtieth.
+const HELD_PASSES: u8 = 3;
 /// A gap closes in a substep by at most this, in levers and radians: no joint that cannot hold throws what it holds.
 const MOST_CLOSED: f32 = 0.05;
 /// Of what a joint is beyond a limit, comes back in a second.
@@ -49,12 +51,14 @@ pub(super) struct Trees<'r> {
     count: usize,
     /// kg of all that is free in them, by [`HEAVY`].
     heavy: f32,
+    /// That make velocities hold.
+    passes: u8,
 }
 
 impl<'r> Trees<'r> {
     /// In a slab of [`LIMB`] numbers a unit, none in use yet.
     pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
-        Trees { limbs: Limbs::new(slab, units), count: 0, heavy: 0.0 }
+        Trees { limbs: Limbs::new(slab, units), count: 0, heavy: 0.0, passes: 1 }
     }
 
     /// Whether a unit moves by these rules.
@@ -84,13 +88,16 @@ impl<'r> Trees<'r> {
             let id = unit.link.above?.parent;
             units.binary_search_by_key(&id, |unit| unit.id.to_bits()).ok()
         };
-        self.heavy = 0.0;
+        (self.heavy, self.passes) = (0.0, 1);
         for number in 0..units.len() {
             self.limbs.set_head(number, &Head::NONE);
         }
         for (number, unit) in units.iter().enumerate() {
             let Some(parent) = parent(unit) else { continue };
             let place = if unit.is_free() { Place::Hangs } else { Place::HeldBelow };
+            if place == Place::HeldBelow && units.get(parent).is_some_and(UnitSlot::is_free) {
+                self.passes = HELD_PASSES;
+            }
             self.limbs.set_head(number, &Head { place, parent, ..self.limbs.head(number) });
         }
         // What others hang from and that hangs from none.
@@ -147,13 +154,8 @@ impl<'r> Trees<'r> {
         for place in 0..self.count {
             let Some((number, unit, head)) = self.member(world.units, place) else { continue };
             let pose = bodies.pose(number);
-            let inertia = if unit.is_free() {
-                Inertia::of(unit.mass, &(unit.inertia_m2 * unit.mass), &pose.rotation)
-            } else {
-                // Hanging from what moves, it resists as if it were held by much.
-                let moment = unit.radius * unit.radius * self.heavy;
-                Inertia::of(self.heavy, &Vector3::repeat(moment), &pose.rotation)
-            };
+            let moments = unit.inertia_m2 * unit.mass;
+            let inertia = Inertia::of(unit.mass, &moments, &pose.rotation);
             self.limbs.set_inertia(number, &inertia);
             if let Some(above) = Self::joint(unit).filter(|_| head.place.hangs()) {
                 let Some(parent) = world.units.get(head.parent) else { continue };
@@ -176,18 +178,25 @@ impl<'r> Trees<'r> {
                 self.limbs.set_inertia(number, &whole.inverted());
             }
             let Some(above) = Self::joint(unit).filter(|_| head.place.hangs()) else { continue };
-            let [lever, ..] = self.limbs.levers(number);
+            let [mut lever, arm, axis] = self.limbs.levers(number);
             let ways = self.ways(number, above.guide.way);
-            let gains = ways.map(|way| whole.times(&way));
-            let mut matrix = [[0.0; 3]; 3];
-            for (row, way) in matrix.iter_mut().zip(&ways) {
-                *row = gains.map(|gain| gain.dot(way));
-            }
-            let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = matrix;
-            let weights = inverse(&[xx, yy, zz, xy, xz, yz]);
-            let left = if head.mode.is_locked() { whole } else { whole.without(&gains, &weights) };
+            let left = if head.place == Place::HeldBelow {
+                // At its pivot it resists what its joint does not leave open, as if it were held by much.
+                lever += arm;
+                let open = (!head.mode.is_locked()).then_some(axis);
+                Inertia::held(above.guide.way, open, (self.heavy, unit.radius))
+            } else {
+                let gains = ways.map(|way| whole.times(&way));
+                let mut matrix = [[0.0; 3]; 3];
+                for (row, way) in matrix.iter_mut().zip(&ways) {
+                    *row = gains.map(|gain| gain.dot(way));
+                }
+                let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = matrix;
+                let weights = inverse(&[xx, yy, zz, xy, xz, yz]);
+                self.limbs.set_gains(number, &gains, &weights);
+                if head.mode.is_locked() { whole } else { whole.without(&gains, &weights) }
+            };
             self.limbs.set_inertia(number, &left);
-            self.limbs.set_gains(number, &gains, &weights);
             // What nothing moves feels nothing.
             let parent = self.limbs.head(head.parent).place;
             if matches!(parent, Place::Root | Place::Hangs) {
@@ -220,6 +229,13 @@ impl<'r> Trees<'r> {
             let Some(above) = Self::joint(unit).filter(|_| head.place.hangs()) else { continue };
             let [lever, arm, _] = self.limbs.levers(number);
             let wanted = missing(self, number, above);
+            if head.place == Place::HeldBelow {
+                self.limbs.set_wanted(number, &wanted);
+                let up = self.limbs.inertia(number).times(&wanted).times(-1.0);
+                let sum = self.limbs.load(head.parent).plus(&up.from(&(lever + arm)));
+                self.limbs.set_load(head.parent, &sum);
+                continue;
+            }
             // At the pivot it is wanted, at the centre it acts.
             let wanted = Six { way: wanted.way + arm.cross(&wanted.turn), ..wanted };
             self.limbs.set_wanted(number, &wanted);
@@ -239,7 +255,20 @@ impl<'r> Trees<'r> {
             let load = self.limbs.load(number);
             let change = match (head.place, Self::joint(unit)) {
                 (Place::Root, _) => self.limbs.inertia(number).solve(&load),
-                (Place::Hangs | Place::HeldBelow, Some(above)) => {
+                (Place::HeldBelow, Some(above)) => {
+                    let [lever, arm, axis] = self.limbs.levers(number);
+                    let moved = self.limbs.change(head.parent).at(&(lever + arm));
+                    let lacks = moved.plus(&self.limbs.wanted(number));
+                    let impulse = self.limbs.inertia(number).times(&lacks);
+                    head.held += match above.guide.way {
+                        Way::Slides => dot(&axis, &impulse.way),
+                        _ => dot(&axis, &impulse.turn),
+                    };
+                    head.push = 0.0;
+                    self.limbs.set_head(number, &head);
+                    Six::ZERO
+                }
+                (Place::Hangs, Some(above)) => {
                     let [lever, ..] = self.limbs.levers(number);
                     let from = self.limbs.change(head.parent).at(&lever);
                     let moved = from.plus(&self.limbs.wanted(number));
@@ -265,7 +294,7 @@ impl<'r> Trees<'r> {
                     }
                     head.push = 0.0;
                     self.limbs.set_head(number, &head);
-                    if head.place == Place::Hangs { change } else { Six::ZERO }
+                    change
                 }
                 _ => Six::ZERO,
             };
@@ -290,6 +319,12 @@ impl<'r> Trees<'r> {
 
     /// Changes velocities so that joints hold, by impulses along them.
     fn hold(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>) {
+        for _ in 0..self.passes {
+            self.hold_once(world, bodies);
+        }
+    }
+
+    fn hold_once(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>) {
         let still = &*bodies;
         self.solve(world, |trees, number, above| trees.missing_velocity(still, number, above));
         for place in 0..self.count {

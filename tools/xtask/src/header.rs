@@ -18,7 +18,7 @@ const HEADERS: [Header; 2] = [
     Header {
         path: "bindings/c/include/rigidformer.h",
         config: "bindings/c/cbindgen.toml",
-        files: &["types", "ffi", "edit", "state", "health"],
+        files: &["types", "ffi", "edit", "joints", "state", "health"],
     },
     Header {
         path: "bindings/c/include/rigidformer_tracker.h",

@@ -1,8 +1,5 @@
 //! The world that the solver works in, and units as it moves them.
 
-use super::trees::Trees;
-#[cfg(feature = "robot")]
-use super::{SLACK, trees};
 use crate::contact::ground::Plane;
 use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;
@@ -47,6 +44,15 @@ const PHASE: f32 = 0.25;
 /// Substeps of a step where contact gives way, at most: a bound on its time.
 #[cfg(feature = "compliance")]
 const MOST_GIVING_SUBSTEPS: u8 = 64;
+/// Substeps a second where units hang together, at least: the error of joints falls with the square.
+#[cfg(feature = "robot")]
+const JOINED_HZ: f32 = 600.0;
+/// A step may be longer by this share of such a substep: 20 / 600 s are 20 of them in f32 too.
+#[cfg(feature = "robot")]
+const JOINED_SLACK: f32 = 0.01;
+/// Such substeps of a step, at most: a bound on its time.
+#[cfg(feature = "robot")]
+const MOST_JOINED_SUBSTEPS: u8 = 96;
 /// Weight of a unit by that of a corner of a box, about.
 #[cfg(feature = "compliance")]
 const CORNERS: f32 = 4.0;
@@ -191,8 +197,8 @@ impl<'s> World<'s> {
     fn with_trees(self) -> Self {
         let mut substeps = self.substeps;
         while self.has_trees
-            && substeps < trees::MOST_SUBSTEPS
-            && f32::from(substeps) < self.scene.dt * trees::SUBSTEPS_HZ - SLACK
+            && substeps < MOST_JOINED_SUBSTEPS
+            && f32::from(substeps) < self.scene.dt * JOINED_HZ - JOINED_SLACK
         {
             substeps += 1;
         }
@@ -1176,12 +1182,12 @@ impl<'r> Bodies<'r> {
         self.shifts.as_flattened_mut().fill(0.0);
     }
 
-    /// Moves all units by their velocities over a substep, but for those that `trees` move.
+    /// Moves all units by their velocities over a substep, but for those that hang together.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn advance(&mut self, world: &World<'_>, trees: &Trees<'_>) {
+    pub(super) fn advance(&mut self, world: &World<'_>, hangs: impl Fn(usize) -> bool) {
         let time = world.substep_s;
         for (number, unit) in world.units.iter().enumerate() {
-            if self.is_left_out(number) || trees.moves(number) {
+            if self.is_left_out(number) || hangs(number) {
                 continue;
             }
             let mover = self.mover(number);

@@ -207,7 +207,7 @@ fn in_substeps<S: Schedule>(
         trees.choose(world, bodies, step.seconds(left));
         impulses::stop(schedule, world, (bodies, trees), contacts);
         let bounces = impulses::mark(world, bodies, contacts);
-        bodies.advance(world, trees);
+        bodies.advance(world, |unit| trees.moves(unit));
         trees.advance(world, bodies);
         if bounces {
             impulses::bounce(schedule, world, (bodies, trees), contacts);

@@ -17,10 +17,6 @@ pub(super) use limb::LIMB;
 use limb::{Head, Limbs, Mode, Place};
 use nalgebra::{Matrix3, Vector3};
 
-/// Substeps a second of scenes with joints, at least: their error falls with the square.
-pub(super) const SUBSTEPS_HZ: f32 = 600.0;
-/// Substeps of a step then, at most: a bound on its time.
-pub(super) const MOST_SUBSTEPS: u8 = 96;
 /// Rounds that find the impulses of a substep. Each leaves about a hundredth of the gap.
 const ROUNDS: u8 = 4;
 /// Rounds that close what is open before a step, without velocity.

@@ -110,7 +110,7 @@ def by_runtime(links, rate, steps):
     import rigidformer as rf
 
     world = rf.World(rf.Model("edge"), units=len(links) + 1, points=8 * (len(links) + 1))
-    world.dt_s, world.network, world.planes, world.gravity = 1 / rate, False, [], [0, 0, -GRAVITY]
+    world.dt_s, world.network, world.planes, world.gravity_m_s2 = 1 / rate, False, [], [0, 0, -GRAVITY]
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
     base = world.add(rf.Unit(signs * np.float32(0.02), role="fixed", body=1), [0, 0, 0, 1, 0, 0, 0])
     ids = []

@@ -470,6 +470,48 @@ pub enum JoinError {
         /// The unit.
         id: UnitId,
     },
+    /// The model knows ball joints alone.
+    #[error("{id}: this model does not move units by impulses, and knows ball joints alone")]
+    NotByImpulses {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// An axis has no direction.
+    #[error("{id}: the axis must be finite and not 0")]
+    BadAxis {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// Limits are in the wrong order, or out of range.
+    #[error("{id}: limits must rise, within half a turn to either side or 1e6 m")]
+    BadLimits {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// A force is none.
+    #[error("{id}: the force must be finite and above 0")]
+    BadForce {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// The rotation at position 0 is none.
+    #[error("{id}: the rotation at position 0 must be finite and not 0")]
+    BadRest {
+        /// The unit that was to hang.
+        id: UnitId,
+    },
+    /// The unit hangs by no joint with an axis.
+    #[error("{id} hangs by no revolute or prismatic joint: it has no position")]
+    NoAxis {
+        /// The unit.
+        id: UnitId,
+    },
+    /// A target is no position.
+    #[error("{id}: the target must be finite and within 1e6")]
+    BadTarget {
+        /// The unit.
+        id: UnitId,
+    },
 }
 
 /// Why units were not bonded, or a bond was not broken; the bonds are what they were.

@@ -92,7 +92,7 @@ pub use slabs::{Memory, SlabSizes, Slabs};
 #[cfg(feature = "deform")]
 pub use structure::bonds::Bond;
 #[cfg(feature = "robot")]
-pub use structure::joints::Joint;
+pub use structure::joints::{Joint, JointAxis, JointKind};
 pub use trace::{Layer, NoTrace, Stage, Trace};
 
 /// Numbers of the f32 slab that each unit's room for bonds takes, in models whose motion is by impulses.

@@ -7,7 +7,7 @@ use crate::geometry::{Course, Pose, State, norm, rotate, turn_between};
 use crate::limits::{ANCHORS, MAX_PLANES};
 use crate::math;
 use crate::measure::Measure;
-use crate::stand_in::{OfCompliance, OfHealth};
+use crate::stand_in::{OfCompliance, OfForce, OfHealth};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// What a unit is made of.
@@ -602,7 +602,7 @@ pub(crate) struct Scene<'s> {
     pub(crate) plane_compliance: OfCompliance<[Compliance; MAX_PLANES]>,
     pub(crate) measure: Measure,
     /// Seconds that count as one.
-    pub(crate) second: OfCompliance<f32>,
+    pub(crate) second: OfForce<f32>,
     /// m/s^2
     pub(crate) gravity: Vector3<f32>,
     /// Of contacts that impulses act at.

@@ -24,6 +24,12 @@ pub(crate) type OfCompliance<T> = Stored<T>;
 #[cfg(not(feature = "compliance"))]
 pub(crate) type OfCompliance<T> = Absent<T>;
 
+/// A value of builds with `compliance` or `robot`.
+#[cfg(any(feature = "compliance", feature = "robot"))]
+pub(crate) type OfForce<T> = Stored<T>;
+#[cfg(not(any(feature = "compliance", feature = "robot")))]
+pub(crate) type OfForce<T> = Absent<T>;
+
 /// A value that is there.
 #[derive(Clone, Copy, Debug)]
 #[allow(dead_code, reason = "builds without features have none")]

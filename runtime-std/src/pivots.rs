@@ -187,7 +187,7 @@ pub fn hold(simulator: &mut Simulator<'_, '_>, pivots: &[Pivot]) -> Result<(), J
         let id = |number| simulator.unit(number).map_or(no_unit, |unit| unit.id());
         let [unit, parent] = [found.unit, found.parent].map(id);
         let Pivot { pivot, parent_pivot, .. } = *found;
-        simulator.join(&Joint { unit, parent, pivot, parent_pivot })
+        simulator.join(&Joint::ball(unit, parent, pivot, parent_pivot))
     });
     // A failed call leaves the joints as they were.
     if done.is_err() {

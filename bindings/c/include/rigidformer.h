@@ -51,6 +51,26 @@
 #define RF_NONE 4294967295U
 
 /**
+ * Kind of a joint: the unit turns about the pivot.
+ */
+#define RF_JOINT_BALL 0U
+
+/**
+ * The unit turns about an axis through the pivot.
+ */
+#define RF_JOINT_REVOLUTE 1U
+
+/**
+ * The unit slides along an axis, and does not turn.
+ */
+#define RF_JOINT_PRISMATIC 2U
+
+/**
+ * The unit stays where it is in its parent's frame.
+ */
+#define RF_JOINT_FIXED 3U
+
+/**
  * Role of a unit that the model moves.
  */
 #define RF_ROLE_FREE 0U
@@ -317,8 +337,9 @@ enum rf_status
    */
   RF_ERROR_BAD_BODY = 87,
   /**
-   * A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond
-   * 1e6 m. Detail: the id `found`, and the parent's in `expected`, or 0 there if it is a pivot.
+   * A unit cannot hang from another that is it or hangs from it; a pivot, axis, limit, force or target
+   * is out of range; the model knows ball joints alone; or the unit hangs by no joint with an axis.
+   * Detail: the id `found`, and of a circle the parent's in `expected`.
    */
   RF_ERROR_BAD_JOINT = 88,
   /**
@@ -884,6 +905,36 @@ typedef struct rf_bonded {
    */
   uint32_t reserved;
 } rf_bonded;
+
+/**
+ * What holds a unit to another. Its position is 0 as the two are when they are joined.
+ */
+typedef struct rf_joint {
+  /**
+   * RF_JOINT_BALL, RF_JOINT_REVOLUTE, RF_JOINT_PRISMATIC or RF_JOINT_FIXED.
+   */
+  uint32_t kind;
+  /**
+   * One place in the frame of the unit's reference points, metres.
+   */
+  float pivot[3];
+  /**
+   * And in the frame of the parent's.
+   */
+  float parent_pivot[3];
+  /**
+   * Of revolute and prismatic joints, in the frame of the unit's reference points: not 0.
+   */
+  float axis[3];
+  /**
+   * Least and greatest position: radians within half a turn to either side, or metres. Both 0: none.
+   */
+  float limits[2];
+  /**
+   * The most that takes it to a target, N m or N. 0: whatever that takes.
+   */
+  float max_force;
+} rf_joint;
 
 /**
  * What can be said of how far a unit's prediction may be believed.
@@ -1504,6 +1555,48 @@ rf_status rf_bonds(const struct rf_simulator *simulator,
                    struct rf_bonded *bonds,
                    size_t capacity,
                    size_t *count);
+
+/**
+ * Hangs a unit from another, as rf_join, by a joint of any kind. Models that move units by impulses know
+ * all kinds, others RF_JOINT_BALL alone. A joint with an axis is free until rf_set_joint_target.
+ *
+ * @param simulator  the simulator
+ * @param id         the unit that hangs
+ * @param parent     the unit that it hangs from
+ * @param joint      what holds it
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT, RF_ERROR_BONDED,
+ *         RF_ERROR_DEFORMS or RF_ERROR_NO_JOINTS. Where it is refused, the joints are what they were
+ */
+rf_status rf_join_by(struct rf_simulator *simulator,
+                     rf_unit_id id,
+                     rf_unit_id parent,
+                     const struct rf_joint *joint);
+
+/**
+ * Takes a joint to a position by the end of the next step, and holds it there. Beyond a limit that is the
+ * limit. A joint with a `max_force` may come later.
+ *
+ * @param simulator  the simulator
+ * @param id         the unit that hangs by it
+ * @param target     radians, the shorter way round, or metres; infinite: it is free from now on
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or RF_ERROR_NO_JOINTS.
+ *         Where it is refused, the target is what it was
+ */
+rf_status rf_set_joint_target(struct rf_simulator *simulator,
+                              rf_unit_id id,
+                              float target);
+
+/**
+ * Writes the position of the joint that a unit hangs by.
+ *
+ * @param simulator  the simulator
+ * @param id         the unit
+ * @param position   out: radians from minus half a turn to half a turn, or metres
+ * @return RF_OK, an error of the call, RF_ERROR_NO_SUCH_ID, RF_ERROR_BAD_JOINT or RF_ERROR_NO_JOINTS
+ */
+rf_status rf_joint_position(struct rf_simulator *simulator,
+                            rf_unit_id id,
+                            float *position);
 
 /**
  * Bytes that rf_save writes now: about 300 for each unit and 12 for each point.

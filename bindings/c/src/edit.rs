@@ -665,7 +665,7 @@ fn join(
 ) -> Result<(), rf_detail> {
     let [unit, parent] = units.map(UnitId::from_bits);
     let [pivot, parent_pivot] = pivots.map(Point3::from);
-    Ok(simulator.join(&Joint { unit, parent, pivot, parent_pivot })?)
+    Ok(simulator.join(&Joint::ball(unit, parent, pivot, parent_pivot))?)
 }
 
 #[cfg(feature = "robot")]

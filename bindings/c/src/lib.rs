@@ -20,7 +20,7 @@
 //! |---|---|
 //! | `panic-handler` | a panic handler that calls `rf_panic`, which the application may define; not with `std` |
 //! | `std` | the fastest kernels of the processor, the panic handler of the standard library, and all features below: for Linux |
-//! | `robot` | models that see robots from their heading; `rf_join` and `rf_unjoin`, which otherwise return `RF_ERROR_NO_JOINTS` |
+//! | `robot` | models that see robots from their heading; `rf_join` and its kin, which otherwise return `RF_ERROR_NO_JOINTS` |
 //! | `deform` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`); `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
 //! | `compliance` | `rf_set_compliance` and `rf_set_plane_compliance`, which otherwise return `RF_ERROR_NO_COMPLIANCE` |
@@ -46,6 +46,7 @@ mod engine;
 pub mod ffi;
 mod handle;
 pub mod health;
+pub mod joints;
 #[cfg(all(feature = "panic-handler", not(feature = "std"), not(test)))]
 mod panic;
 pub mod state;

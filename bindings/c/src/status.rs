@@ -182,7 +182,14 @@ impl From<JoinError> for rf_detail {
             #[cfg(feature = "deform")]
             JoinError::Deforms { id } => Self::numbers(RF_ERROR_DEFORMS, id.to_bits(), 0),
             JoinError::Bonded { id } => Self::numbers(RF_ERROR_BONDED, id.to_bits(), 0),
-            JoinError::BadPivot { id } => Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), 0),
+            JoinError::BadPivot { id }
+            | JoinError::NotByImpulses { id }
+            | JoinError::BadAxis { id }
+            | JoinError::BadLimits { id }
+            | JoinError::BadForce { id }
+            | JoinError::BadRest { id }
+            | JoinError::NoAxis { id }
+            | JoinError::BadTarget { id } => Self::numbers(RF_ERROR_BAD_JOINT, id.to_bits(), 0),
             _ => Self::of(RF_ERROR_OTHER),
         }
     }
@@ -344,7 +351,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_BAD_BODY, c"a body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY"),
     (
         RF_ERROR_BAD_JOINT,
-        c"a unit cannot hang from itself or from what hangs from it, or a pivot is out of range",
+        c"a unit cannot hang from itself or from what hangs from it, or a number of its joint is out of range",
     ),
     (RF_ERROR_NO_JOINTS, c"this library was built without joints"),
     (RF_ERROR_DEFORMS, c"soft units do not take this change; observe the scene anew"),

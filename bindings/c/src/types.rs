@@ -11,6 +11,18 @@ pub const RF_ALIGNMENT: usize = 16;
 /// What rf_detail says in `unit` and `index` where there is none.
 pub const RF_NONE: u32 = 0xffff_ffff;
 
+/// Kind of a joint: the unit turns about the pivot.
+pub const RF_JOINT_BALL: u32 = 0;
+
+/// The unit turns about an axis through the pivot.
+pub const RF_JOINT_REVOLUTE: u32 = 1;
+
+/// The unit slides along an axis, and does not turn.
+pub const RF_JOINT_PRISMATIC: u32 = 2;
+
+/// The unit stays where it is in its parent's frame.
+pub const RF_JOINT_FIXED: u32 = 3;
+
 /// Role of a unit that the model moves.
 pub const RF_ROLE_FREE: u32 = 0;
 
@@ -170,8 +182,9 @@ pub enum rf_status {
     /// A body is neither RF_OWN_BODY nor from 0 to RF_MAX_BODY. Detail: `unit`, and the number
     /// `found`, converted to uint64_t.
     RF_ERROR_BAD_BODY = 87,
-    /// A unit cannot hang from another that is it or hangs from it, or a pivot is not finite or beyond
-    /// 1e6 m. Detail: the id `found`, and the parent's in `expected`, or 0 there if it is a pivot.
+    /// A unit cannot hang from another that is it or hangs from it; a pivot, axis, limit, force or target
+    /// is out of range; the model knows ball joints alone; or the unit hangs by no joint with an axis.
+    /// Detail: the id `found`, and of a circle the parent's in `expected`.
     RF_ERROR_BAD_JOINT = 88,
     /// The library was built without joints: the feature `robot` of rigidformer-capi, which `std`
     /// has.
@@ -330,6 +343,24 @@ pub struct rf_pose {
     pub position: [f32; 3],
     /// x, y, z, w; of length 1. w is not negative in what the library writes.
     pub quaternion: [f32; 4],
+}
+
+/// What holds a unit to another. Its position is 0 as the two are when they are joined.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_joint {
+    /// RF_JOINT_BALL, RF_JOINT_REVOLUTE, RF_JOINT_PRISMATIC or RF_JOINT_FIXED.
+    pub kind: u32,
+    /// One place in the frame of the unit's reference points, metres.
+    pub pivot: [f32; 3],
+    /// And in the frame of the parent's.
+    pub parent_pivot: [f32; 3],
+    /// Of revolute and prismatic joints, in the frame of the unit's reference points: not 0.
+    pub axis: [f32; 3],
+    /// Least and greatest position: radians within half a turn to either side, or metres. Both 0: none.
+    pub limits: [f32; 2],
+    /// The most that takes it to a target, N m or N. 0: whatever that takes.
+    pub max_force: f32,
 }
 
 /// How a unit moves now, at the end of its last step.

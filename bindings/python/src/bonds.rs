@@ -7,6 +7,7 @@ use rigidformer_core as core;
 use rigidformer_runtime::pivots;
 
 use crate::arrays;
+use crate::errors::input;
 use crate::whole;
 
 /// Two units of a world that hold together, or did.
@@ -50,7 +51,8 @@ impl From<core::Bond> for Bond {
     }
 }
 
-/// A pivot that a unit of a world shares with the unit that it hangs from: one place, fixed in the reference frames of both.
+/// What holds a unit of a world to the unit that it hangs from: a pivot, one place that is fixed in the reference frames of both, and
+/// perhaps an axis.
 ///
 /// Attributes
 /// ----------
@@ -58,6 +60,14 @@ impl From<core::Bond> for Bond {
 ///     Ids of the unit that hangs, and of the one that it hangs from.
 /// pivot, parent_pivot : arrays of float32, (3,)
 ///     The place in the reference frames of both, metres. New arrays.
+/// kind : str
+///     ``"ball"``, ``"revolute"``, ``"prismatic"`` or ``"fixed"``.
+/// axis : array of float32, (3,), or None
+///     Of revolute and prismatic joints, in the unit's frame, of length 1.
+/// limits : tuple of two floats, or None
+///     Least and greatest position, radians or metres.
+/// max_force : float or None
+///     The most that takes it to a target, N m or N.
 #[pyclass(frozen, eq, module = "rigidformer")]
 #[derive(PartialEq)]
 pub(crate) struct Joint {
@@ -66,22 +76,97 @@ pub(crate) struct Joint {
     #[pyo3(get)]
     parent: u64,
     pivots: Pivots,
+    kind: core::JointKind,
+}
+
+/// The kind of a joint, as its callers name it.
+pub(crate) fn joint_kind(
+    kind: &str,
+    axis: Option<&Bound<'_, PyAny>>,
+    limits: Option<[f32; 2]>,
+    max_force: Option<f32>,
+) -> PyResult<core::JointKind> {
+    let has_axis = ["revolute", "prismatic"].contains(&kind);
+    if !has_axis && (axis.is_some() || limits.is_some() || max_force.is_some()) {
+        return Err(input(format!("a {kind} joint takes no axis, limits or max_force")));
+    }
+    let axis = || -> PyResult<core::JointAxis> {
+        let missing = || input(format!("a {kind} joint takes an axis"));
+        let axis = arrays::vector(axis.ok_or_else(missing)?, "axis")?;
+        Ok(core::JointAxis { axis, limits, max_force })
+    };
+    match kind {
+        "ball" => Ok(core::JointKind::Ball),
+        "revolute" => Ok(core::JointKind::Revolute(axis()?)),
+        "prismatic" => Ok(core::JointKind::Prismatic(axis()?)),
+        "fixed" => Ok(core::JointKind::Fixed),
+        _ => Err(input(format!("kind is {kind:?}: it must be ball, revolute, prismatic or fixed"))),
+    }
 }
 
 #[pymethods]
 impl Joint {
     #[new]
+    #[pyo3(signature = (unit, parent, pivot, parent_pivot, kind = "ball", axis = None, limits = None, max_force = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's have names")]
     fn new(
         #[pyo3(from_py_with = whole::unit)] unit: u64,
         #[pyo3(from_py_with = whole::parent)] parent: u64,
         pivot: &Bound<'_, PyAny>,
         parent_pivot: &Bound<'_, PyAny>,
+        kind: &str,
+        axis: Option<&Bound<'_, PyAny>>,
+        limits: Option<[f32; 2]>,
+        max_force: Option<f32>,
     ) -> PyResult<Self> {
-        Ok(Joint { unit, parent, pivots: Pivots::of(pivot, parent_pivot)? })
+        let kind = joint_kind(kind, axis, limits, max_force)?;
+        Ok(Joint { unit, parent, pivots: Pivots::of(pivot, parent_pivot)?, kind })
     }
 
-    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<(u64, u64, Place<'py>, Place<'py>)> {
-        Ok((self.unit, self.parent, self.pivots.own(py)?, self.pivots.parents(py)?))
+    #[expect(clippy::type_complexity, reason = "the arguments of `new`")]
+    fn __getnewargs__<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(
+        u64,
+        u64,
+        Place<'py>,
+        Place<'py>,
+        &'static str,
+        Option<Place<'py>>,
+        Option<(f32, f32)>,
+        Option<f32>,
+    )> {
+        let places = (self.pivots.own(py)?, self.pivots.parents(py)?);
+        let axis = self.axis(py)?;
+        let (limits, max_force) = (self.limits(), self.max_force());
+        Ok((self.unit, self.parent, places.0, places.1, self.kind(), axis, limits, max_force))
+    }
+
+    #[getter]
+    fn kind(&self) -> &'static str {
+        match self.kind {
+            core::JointKind::Revolute(_) => "revolute",
+            core::JointKind::Prismatic(_) => "prismatic",
+            core::JointKind::Fixed => "fixed",
+            _ => "ball",
+        }
+    }
+
+    #[getter]
+    fn axis<'py>(&self, py: Python<'py>) -> PyResult<Option<Place<'py>>> {
+        let axis = self.kind.axis().map(|axis| Point3::from(axis.axis));
+        axis.map(|axis| arrays::read_only(arrays::array_of_points(py, &[axis], &[])?)).transpose()
+    }
+
+    #[getter]
+    fn limits(&self) -> Option<(f32, f32)> {
+        self.kind.axis().and_then(|axis| axis.limits).map(|[least, greatest]| (least, greatest))
+    }
+
+    #[getter]
+    fn max_force(&self) -> Option<f32> {
+        self.kind.axis().and_then(|axis| axis.max_force)
     }
 
     #[getter]
@@ -95,16 +180,29 @@ impl Joint {
     }
 
     fn __repr__(&self) -> String {
-        let Joint { unit, parent, pivots } = self;
-        format!("Joint({unit}, {parent}, {pivots})")
+        let Joint { unit, parent, pivots, kind } = self;
+        let mut rest = match kind {
+            core::JointKind::Ball => String::new(),
+            _ => format!(", kind='{}'", self.kind()),
+        };
+        if let Some(core::JointAxis { axis, limits, max_force }) = kind.axis() {
+            rest += &format!(", axis=[{:?}, {:?}, {:?}]", axis.x, axis.y, axis.z);
+            if let Some([least, greatest]) = limits {
+                rest += &format!(", limits=({least:?}, {greatest:?})");
+            }
+            if let Some(force) = max_force {
+                rest += &format!(", max_force={force:?}");
+            }
+        }
+        format!("Joint({unit}, {parent}, {pivots}{rest})")
     }
 }
 
 impl From<core::Joint> for Joint {
     fn from(joint: core::Joint) -> Self {
-        let core::Joint { unit, parent, pivot, parent_pivot } = joint;
+        let core::Joint { unit, parent, pivot, parent_pivot, kind, .. } = joint;
         let pivots = Pivots { pivot, parent_pivot };
-        Joint { unit: unit.to_bits(), parent: parent.to_bits(), pivots }
+        Joint { unit: unit.to_bits(), parent: parent.to_bits(), pivots, kind }
     }
 }
 

@@ -9,7 +9,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_core::{
-    self as core, Compliance, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
+    self as core, Compliance, JoinError, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
     Velocity,
 };
 use rigidformer_runtime::engine::Engine;
@@ -18,7 +18,7 @@ use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world;
 
 use crate::arrays::{self, Floats, POSE};
-use crate::bonds::{Bond, Joint};
+use crate::bonds::{Bond, Joint, joint_kind};
 use crate::errors::{OrRaise, input, raise};
 use crate::futures::{Start, VELOCITY};
 use crate::interrupt::{TICK, free, held};
@@ -893,8 +893,7 @@ impl World {
             .or_raise()
     }
 
-    /// Hangs a unit from another by a pivot: from the next step on the two stay together there and turn freely about it. A unit that
-    /// hangs already hangs from the new parent alone. Free units that hang together keep their centre of mass; driven and fixed ones
+    /// Hangs a unit from another by a joint: from the next step on the two stay together there. A unit that hangs already hangs from the new parent alone. Free units that hang together keep their centre of mass; driven and fixed ones
     /// stay, and the others hang from them. A joint holds until ``unjoin``, until one of the two is removed or another scene is
     /// observed.
     ///
@@ -904,6 +903,16 @@ impl World {
     ///     Ids of rigid units, best parts of one body: those do not collide.
     /// pivot, parent_pivot : arrays of float32, (3,)
     ///     The same place in the reference frames of both, metres, within 1e6.
+    /// kind : str, optional
+    ///     ``"ball"``: it turns about the pivot. ``"revolute"``: about an axis through it. ``"prismatic"``: it slides along an axis.
+    ///     ``"fixed"``: neither. Models that do not move units by impulses know balls alone.
+    /// axis : array of float32, (3,), optional
+    ///     Of revolute and prismatic joints, in the unit's reference frame, of any length but 0. Positions along it are 0 as the two
+    ///     are now.
+    /// limits : two floats, optional
+    ///     Least and greatest position: radians within half a turn to either side, or metres.
+    /// max_force : float, optional
+    ///     The most that takes the joint to a target, N m or N, above 0. None: whatever that takes.
     ///
     /// Raises
     /// ------
@@ -922,6 +931,14 @@ impl World {
     /// >>> _ = world.step(6)  # the link swings down from the hand
     /// >>> bool(world.pose(link)[2] < 1), world.joints[0].parent == hand
     /// (True, True)
+    /// >>> world.network = False
+    /// >>> world.join(link, hand, [-.1, 0, 0], [.1, 0, 0], kind="revolute", axis=[0, 1, 0], limits=(-1, 1))
+    /// >>> world.set_joint_target(link, 0.25)
+    /// >>> _ = world.step()
+    /// >>> round(world.joint_position(link), 3)
+    /// 0.25
+    #[pyo3(signature = (unit, parent, pivot, parent_pivot, kind = "ball", axis = None, limits = None, max_force = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's have names")]
     fn join(
         &self,
         py: Python<'_>,
@@ -929,12 +946,68 @@ impl World {
         #[pyo3(from_py_with = whole::parent)] parent: u64,
         pivot: &Bound<'_, PyAny>,
         parent_pivot: &Bound<'_, PyAny>,
+        kind: &str,
+        axis: Option<&Bound<'_, PyAny>>,
+        limits: Option<[f32; 2]>,
+        max_force: Option<f32>,
     ) -> PyResult<()> {
+        let kind = joint_kind(kind, axis, limits, max_force)?;
         let pivot = arrays::vector(pivot, "pivot")?.into();
         let parent_pivot = arrays::vector(parent_pivot, "parent_pivot")?.into();
         let [unit, parent] = [unit, parent].map(UnitId::from_bits);
-        let joint = core::Joint { unit, parent, pivot, parent_pivot };
+        let joint = core::Joint::ball(unit, parent, pivot, parent_pivot).kind(kind);
         self.world.freely(py, |world| world.edit(|simulator| simulator.join(&joint)))?.or_raise()
+    }
+
+    /// Takes a joint to a position by the end of the next step, and holds it there; beyond a limit that is the limit.
+    ///
+    /// Parameters
+    /// ----------
+    /// id : int
+    ///     The unit that hangs by a revolute or prismatic joint.
+    /// target : float or None
+    ///     Radians, the shorter way round, or metres. None: from then on the joint is free.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The unit has no such joint, or the target is out of range; it is what it was.
+    ///
+    /// Source: ``core/src/simulator/join.rs``. See ``join`` for an example.
+    #[pyo3(signature = (id, target))]
+    fn set_joint_target(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+        target: Option<f32>,
+    ) -> PyResult<()> {
+        let id = UnitId::from_bits(id);
+        self.lock(py)?.edit(|simulator| simulator.set_joint_target(id, target)).or_raise()
+    }
+
+    /// Position of the joint that a unit hangs by.
+    ///
+    /// Returns
+    /// -------
+    /// float
+    ///     Radians from minus half a turn to half a turn, or metres.
+    ///
+    /// Raises
+    /// ------
+    /// InputError
+    ///     The unit hangs by no revolute or prismatic joint.
+    ///
+    /// Source: ``core/src/simulator/join.rs``. See ``join`` for an example.
+    fn joint_position(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = whole::id)] id: u64,
+    ) -> PyResult<f32> {
+        let id = UnitId::from_bits(id);
+        let world = self.lock(py)?;
+        let known = world.simulator().number(id).is_some();
+        let none = if known { JoinError::NoAxis { id } } else { JoinError::NoSuchUnit { id } };
+        world.simulator().joint_position(id).ok_or(none).or_raise()
     }
 
     /// Lets a unit go from its parent.

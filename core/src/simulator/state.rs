@@ -9,7 +9,7 @@ use crate::model::Model;
 use crate::scene::{Compliance, Scene};
 use crate::sizes::{Sizes, near_numbers};
 use crate::slabs::{SlabSizes, Slabs};
-use crate::stand_in::{OfCompliance, OfHealth, OfHost};
+use crate::stand_in::{OfCompliance, OfForce, OfHealth, OfHost};
 use crate::structure::Bonds;
 #[cfg(feature = "deform")]
 use crate::structure::bonds::BONDS;
@@ -176,7 +176,7 @@ impl<'m, 's> Simulator<'m, 's> {
                 planes: planes.clone(),
                 plane_compliance: OfCompliance::new([Compliance::RIGID; MAX_PLANES]),
                 measure: Measure::SI,
-                second: OfCompliance::new(1.0),
+                second: OfForce::new(1.0),
                 gravity,
                 contact_law: ContactLaw::RIGID,
                 dt: 0.0,

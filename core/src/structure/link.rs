@@ -24,6 +24,55 @@ pub(crate) struct Above {
     pub(crate) parent: u64,
     pub(crate) pivot: Point3<f32>,
     pub(crate) parent_pivot: Point3<f32>,
+    pub(crate) guide: Guide,
+}
+
+/// What a joint lets the unit do, besides.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Guide {
+    pub(crate) way: Way,
+    /// Of length 1, in the unit's frame; 0 without an axis.
+    pub(crate) axis: Vector3<f32>,
+    /// The unit's rotation in its parent's frame at position 0: i, j, k, w.
+    pub(crate) rest: [f32; 4],
+    /// Least and greatest position, rad or m; infinite without limits.
+    pub(crate) limits: [f32; 2],
+    /// The most that reaches the target, N m or N; infinite without a limit.
+    pub(crate) force: f32,
+    /// Where the caller wants the joint, rad or m.
+    pub(crate) target: Option<f32>,
+}
+
+/// Ways that a joint leaves open.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// All turns about the pivot.
+    Ball,
+    /// Turns about the axis.
+    Turns,
+    /// Slides along the axis.
+    Slides,
+    /// None.
+    Fixed,
+}
+
+impl Way {
+    /// Whether it has a position.
+    pub(crate) fn has_axis(self) -> bool {
+        matches!(self, Way::Turns | Way::Slides)
+    }
+}
+
+impl Guide {
+    /// Of a pivot alone.
+    pub(crate) const BALL: Guide = Guide {
+        way: Way::Ball,
+        axis: Vector3::new(0.0, 0.0, 0.0),
+        rest: [0.0, 0.0, 0.0, 1.0],
+        limits: [f32::NEG_INFINITY, f32::INFINITY],
+        force: f32::INFINITY,
+        target: None,
+    };
 }
 
 impl Link {

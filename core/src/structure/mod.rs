@@ -4,7 +4,8 @@
 //! |---|---|
 //! | `stage` | what a structure does in a step |
 //! | `heading` | the heading that a model of a robot sees a scene from |
-//! | `joints`, `link` | units that share a pivot, and what a unit keeps of that |
+//! | `joints`, `link`, `hinge` | units that share a joint, what a unit keeps of that, and where it is |
+//! | `articulation` | inertia of what hangs together, for the solver |
 //! | `bonds`, `member` | units that move as one body, and what a unit keeps of that |
 //! | `breaking` | which bonds break in a step |
 //! | `soft`, `soft_points` | units that deform, and their state |
@@ -12,10 +13,14 @@
 pub(crate) mod heading;
 mod stage;
 
+#[cfg(feature = "robot")]
+pub(crate) mod articulation;
 #[cfg(feature = "deform")]
 pub(crate) mod bonds;
 #[cfg(feature = "deform")]
 pub(crate) mod breaking;
+#[cfg(feature = "robot")]
+pub(crate) mod hinge;
 #[cfg(feature = "robot")]
 pub(crate) mod joints;
 #[cfg(feature = "robot")]

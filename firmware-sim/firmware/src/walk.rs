@@ -125,7 +125,7 @@ impl<'w> Walk<'w> {
                 found.map_or(UnitId::from_bits(0), |unit| unit.id())
             };
             let (unit, parent) = (name(unit), name(parent));
-            let joint = Joint { unit, parent, pivot, parent_pivot };
+            let joint = Joint::ball(unit, parent, pivot, parent_pivot);
             simulator.join(&joint).map_err(|_| "a joint was refused")?;
         }
         Ok(())

@@ -339,7 +339,7 @@ pub(crate) fn call(simulator: &mut Simulator<'_, '_>, known: &[UnitId], call: &C
         Call::Join([unit, parent], pivot) => {
             let pivot = Point3::from(vector(*pivot));
             let (unit, parent) = (id(*unit), id(*parent));
-            simulator.join(&Joint { unit, parent, pivot, parent_pivot: pivot }).is_ok()
+            simulator.join(&Joint::ball(unit, parent, pivot, pivot)).is_ok()
         }
         Call::Add(sheet, number) => {
             let parts = sheet.parts();

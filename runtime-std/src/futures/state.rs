@@ -23,7 +23,7 @@ use crate::world::{Snapshot, World, WorldError};
 /// # let hand = world.add(&unit.role(Role::Driven), &Isometry3::translation(0.0, 0.0, 1.0))?;
 /// # let link = world.add(&unit, &Isometry3::translation(0.2, 0.0, 1.0))?;
 /// # let (pivot, parent_pivot) = (Point3::new(-0.1, 0.0, 0.0), Point3::new(0.1, 0.0, 0.0));
-/// # world.edit(|simulator| simulator.join(&Joint { unit: link, parent: hand, pivot, parent_pivot }))?;
+/// # world.edit(|simulator| simulator.join(&Joint::ball(link, hand, pivot, parent_pivot)))?;
 /// world.step()?; // a hand, and a link that hangs from it
 /// let state = world.start()?;
 /// let mut poses = vec![Isometry3::identity(); 16 * 2]; // one future of 16 steps

@@ -218,7 +218,7 @@ impl Alone<'_> {
         simulator.set_role(ids[3], Role::Driven).unwrap();
         simulator.drive(ids[3], &self.starts[3]).unwrap();
         let pivot = Point3::new(0.1, 1e-41, 0.03);
-        let joint = Joint { unit: ids[1], parent: ids[2], pivot, parent_pivot: pivot };
+        let joint = Joint::ball(ids[1], ids[2], pivot, pivot);
         simulator.join(&joint).unwrap();
         for _ in 0..2 {
             simulator.step().unwrap();

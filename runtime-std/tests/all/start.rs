@@ -58,7 +58,7 @@ fn joints() -> World {
     for place in 1..3 {
         let link = world.add(&unit.body(1), &at(0.2 * place as f32, 1.2)).unwrap();
         let (pivot, parent_pivot) = (Point3::new(-0.1, 0.0, 0.0), Point3::new(0.1, 0.0, 0.0));
-        let joint = Joint { unit: link, parent: above, pivot, parent_pivot };
+        let joint = Joint::ball(link, above, pivot, parent_pivot);
         world.edit(|simulator| simulator.join(&joint)).unwrap();
         above = link;
     }

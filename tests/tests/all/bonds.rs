@@ -304,7 +304,7 @@ fn bonds_that_cannot_be_are_refused() {
         assert_eq!(simulator.bonds_in(1).count(), 0);
         assert_eq!(simulator.set_role(ids[0], Role::Fixed), Err(EditError::Bonded { id: ids[0] }));
         let pivot = Point3::origin();
-        let joint = |unit, parent| Joint { unit, parent, pivot, parent_pivot: pivot };
+        let joint = |unit, parent| Joint::ball(unit, parent, pivot, pivot);
         assert_eq!(simulator.join(&joint(ids[1], ids[2])), Err(JoinError::Bonded { id: ids[1] }));
         simulator.join(&joint(ids[3], ids[4])).unwrap();
         assert_eq!(simulator.bond(&[[ids[4], ids[5]]]), Err(BondError::Joined { id: ids[4] }));

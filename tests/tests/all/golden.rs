@@ -117,7 +117,7 @@ fn join(simulator: &mut Simulator<'_, '_>, golden: &Golden) {
     for row in rows.chunks_exact(8) {
         let [unit, parent] = [0, 1].map(|at| simulator.unit(row[at] as usize).unwrap().id());
         let [pivot, parent_pivot] = [2, 5].map(|at| Point3::new(row[at], row[at + 1], row[at + 2]));
-        simulator.join(&Joint { unit, parent, pivot, parent_pivot }).unwrap();
+        simulator.join(&Joint::ball(unit, parent, pivot, parent_pivot)).unwrap();
     }
 }
 

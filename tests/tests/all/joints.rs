@@ -55,7 +55,7 @@ fn row(simulator: &mut Simulator<'_, '_>, roles: &[Role]) -> Vec<UnitId> {
 /// Where the right end of one bar is the left end of another.
 fn joint(unit: UnitId, parent: UnitId) -> Joint {
     let [left, right] = [-0.15, 0.25].map(|x| Point3::new(x, 0.0, 0.0));
-    Joint { unit, parent, pivot: left, parent_pivot: right }
+    Joint::ball(unit, parent, left, right)
 }
 
 /// The largest distance of the two images of a pivot.
@@ -120,12 +120,7 @@ fn a_tree_of_free_units_keeps_its_centre_of_mass() {
                 let [left, right] = [ids[*unit.min(parent)], ids[*unit.max(parent)]];
                 let mut joint = joint(right, left);
                 if unit < parent {
-                    joint = Joint {
-                        unit: left,
-                        parent: right,
-                        pivot: joint.parent_pivot,
-                        parent_pivot: joint.pivot,
-                    };
+                    joint = Joint::ball(left, right, joint.parent_pivot, joint.pivot);
                 }
                 simulator.join(&joint).unwrap();
             }

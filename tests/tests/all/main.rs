@@ -13,6 +13,7 @@ mod golden;
 mod ground;
 mod heading;
 mod health;
+mod hinges;
 mod index;
 mod joints;
 mod kabsch;

@@ -91,7 +91,7 @@ fn faults_are_refused_and_change_nothing() {
         world.edit(|simulator| {
             let gone = UnitId::from_bits(7777);
             let zero = Point3::origin();
-            let joint = Joint { unit: hand, parent: gone, pivot: zero, parent_pivot: zero };
+            let joint = Joint::ball(hand, gone, zero, zero);
             assert_eq!(simulator.join(&joint).unwrap_err(), JoinError::NoSuchUnit { id: gone });
         });
     });

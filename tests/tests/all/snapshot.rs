@@ -182,7 +182,7 @@ fn workshop(simulator: &mut Simulator<'_, '_>) -> Vec<UnitId> {
     let [left, right] = [-0.15, 0.25].map(|x| Point3::new(x, 0.0, 0.0));
     for link in 1..3 {
         let (unit, parent) = (ids[link + 1], ids[link]);
-        simulator.join(&Joint { unit, parent, pivot: left, parent_pivot: right }).unwrap();
+        simulator.join(&Joint::ball(unit, parent, left, right)).unwrap();
     }
     simulator.bond(&[[ids[7], ids[8]], [ids[8], ids[9]]]).unwrap();
     simulator.break_bond([ids[8], ids[9]]).unwrap();

@@ -264,7 +264,7 @@ fn a_patch_has_no_pose_and_is_free() {
         simulator.set_role(ids[0], Role::Free).unwrap();
         let pivot = Point3::origin();
         for [unit, parent] in [[ids[0], ids[5]], [ids[5], ids[0]]] {
-            let joint = Joint { unit, parent, pivot, parent_pivot: pivot };
+            let joint = Joint::ball(unit, parent, pivot, pivot);
             assert_eq!(simulator.join(&joint), Err(JoinError::Deforms { id: ids[0] }));
         }
         assert_eq!(simulator.bond(&[[ids[0], ids[1]]]), Err(BondError::Motion));

@@ -18,7 +18,7 @@ const HEADERS: [Header; 2] = [
     Header {
         path: "bindings/c/include/rigidformer.h",
         config: "bindings/c/cbindgen.toml",
-        files: &["types", "ffi", "edit", "state", "health"],
+        files: &["types", "ffi", "edit", "joints", "state", "health"],
     },
     Header {
         path: "bindings/c/include/rigidformer_tracker.h",
@@ -146,7 +146,7 @@ mod tests {
 
     /// What each change of a scene comes to, by core's `EditError`, `ObserveError` and `JoinError`: `bindings/c/src/status.rs`
     /// makes codes of them.
-    const REFUSALS: [(&str, &[&str]); 18] = [
+    const REFUSALS: [(&str, &[&str]); 21] = [
         ("rf_add", &["NO_TIMESTEP", "BAD_ROLE", "BAD_BODY", "DEFORMS"]),
         ("rf_remove", &["NO_SUCH_ID", "DEFORMS"]),
         ("rf_drive", &["NO_SUCH_ID", "NOT_DRIVEN", "BAD_POSE"]),
@@ -166,6 +166,9 @@ mod tests {
         ("rf_set_gravity", &["BAD_GRAVITY", "BAD_TIMESTEP"]),
         ("rf_set_dt", &["BAD_TIMESTEP"]),
         ("rf_join", &["NO_SUCH_ID", "BAD_JOINT", "BONDED", "DEFORMS", "NO_JOINTS"]),
+        ("rf_join_by", &["NO_SUCH_ID", "BAD_JOINT", "BONDED", "DEFORMS", "NO_JOINTS"]),
+        ("rf_set_joint_target", &["NO_SUCH_ID", "BAD_JOINT", "NO_JOINTS"]),
+        ("rf_joint_position", &["NO_SUCH_ID", "BAD_JOINT", "NO_JOINTS"]),
         ("rf_unjoin", &["NO_SUCH_ID", "NO_JOINTS"]),
         (
             "rf_innovation",

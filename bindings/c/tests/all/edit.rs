@@ -7,6 +7,7 @@ use crate::common::*;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_capi::edit::*;
 use rigidformer_capi::ffi::*;
+use rigidformer_capi::joints::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
@@ -681,7 +682,7 @@ fn joints_have_the_bits_of_the_core() {
         assert_eq!(unsafe { rf_join(handle, cube, pusher, own_at, parents_at) }, RF_OK);
         let [unit, parent] = [1, 2].map(|number| core.unit(number).unwrap().id());
         let [pivot, parent_pivot] = [own, parents].map(Point3::from);
-        core.join(&Joint { unit, parent, pivot, parent_pivot }).unwrap();
+        core.join(&Joint::ball(unit, parent, pivot, parent_pivot)).unwrap();
         for count in 1..=4_u8 {
             let height = 0.31 + 0.05 * f32::from(count);
             if count == 4 {
@@ -702,6 +703,45 @@ fn joints_have_the_bits_of_the_core() {
             assert_eq!((pivot - parents).norm() < 1e-5, count < 4, "{pivot} {parents}");
         }
     });
+}
+
+/// A door that goes to its target, and what is refused with it.
+#[test]
+fn joints_with_axes() {
+    let (_a, handle) = scene(rigidformer_weights::EDGE);
+    let [table, cube, _] = ids(handle)[..] else { panic!("three units") };
+    let hinge = rf_joint {
+        kind: RF_JOINT_REVOLUTE,
+        pivot: [-0.1, 0.0, 0.1],
+        parent_pivot: [0.0, 0.0, 0.2],
+        axis: [0.0, 0.0, 2.0],
+        limits: [-1.0, 1.0],
+        max_force: 0.0,
+    };
+    let mut angle = f32::NAN;
+    unsafe {
+        assert_eq!(rf_joint_position(handle, cube, &mut angle), RF_ERROR_BAD_JOINT);
+        assert_eq!(rf_set_joint_target(handle, cube, 0.5), RF_ERROR_BAD_JOINT);
+        for bad in [
+            rf_joint { kind: 4, ..hinge },
+            rf_joint { axis: [0.0; 3], ..hinge },
+            rf_joint { axis: [f32::NAN, 0.0, 1.0], ..hinge },
+            rf_joint { limits: [1.0, -1.0], ..hinge },
+            rf_joint { max_force: -1.0, ..hinge },
+        ] {
+            assert_eq!(rf_join_by(handle, cube, table, &bad), RF_ERROR_BAD_JOINT, "{bad:?}");
+        }
+        assert_eq!(rf_join_by(handle, cube, table, null()), RF_ERROR_NULL);
+        assert_eq!(rf_join_by(handle, cube, table, &hinge), RF_OK);
+        assert_eq!(rf_set_joint_target(handle, cube, f32::NAN), RF_ERROR_BAD_JOINT);
+        assert_eq!(rf_set_joint_target(handle, cube, 0.25), RF_OK);
+        assert_eq!(step(handle), RF_OK);
+        assert_eq!(rf_joint_position(handle, 77, &mut angle), RF_ERROR_NO_SUCH_ID);
+        assert_eq!(rf_joint_position(handle, cube, null_mut()), RF_ERROR_NULL);
+        assert_eq!(rf_joint_position(handle, cube, &mut angle), RF_OK);
+        assert!((angle - 0.25).abs() < 1e-3, "{angle}");
+        assert_eq!(rf_set_joint_target(handle, cube, f32::INFINITY), RF_OK);
+    }
 }
 
 /// What a C program can do wrong with joints. The joint that there is stays, and the scene goes on as one that the calls never

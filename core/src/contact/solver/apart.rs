@@ -25,7 +25,7 @@ type Next = [f32; STATE];
 pub(crate) fn keep_apart(scene: &Scene<'_>, first: usize, scratch: &mut [f32], next: &mut [f32]) {
     let world = World::new(scene, first, 1);
     let units = world.units.len();
-    let (mut bodies, mut contacts) = carve(scratch, &mut [], world.units);
+    let (mut bodies, mut contacts, _) = carve(scratch, &mut [], world.units);
     let (next, _) = next.as_chunks_mut();
     // At first all are looked at, then what the sweep before has moved.
     bodies.mark_all(|_| Touched::Before);

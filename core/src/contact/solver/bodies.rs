@@ -3,11 +3,15 @@
 use crate::contact::ground::Plane;
 use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;
+#[cfg(feature = "robot")]
+use crate::geometry::squared;
 use crate::geometry::{
     POSE, Pose, STATE, State, dot, norm, read_pose, rotate, rotate_back, swing, turned, write_pose,
 };
 use crate::math;
 use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
+#[cfg(feature = "robot")]
+use crate::structure::articulation::Six;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
@@ -40,6 +44,15 @@ const PHASE: f32 = 0.25;
 /// Substeps of a step where contact gives way, at most: a bound on its time.
 #[cfg(feature = "compliance")]
 const MOST_GIVING_SUBSTEPS: u8 = 64;
+/// Substeps a second where units hang together, at least: the error of joints falls with the square.
+#[cfg(feature = "robot")]
+const JOINED_HZ: f32 = 600.0;
+/// A step may be longer by this share of such a substep: 20 / 600 s are 20 of them in f32 too.
+#[cfg(feature = "robot")]
+const JOINED_SLACK: f32 = 0.01;
+/// Such substeps of a step, at most: a bound on its time.
+#[cfg(feature = "robot")]
+const MOST_JOINED_SUBSTEPS: u8 = 96;
 /// Weight of a unit by that of a corner of a box, about.
 #[cfg(feature = "compliance")]
 const CORNERS: f32 = 4.0;
@@ -111,6 +124,9 @@ pub(super) struct World<'s> {
     /// Whether any contact gives way.
     #[cfg(feature = "compliance")]
     gives_way: bool,
+    /// Whether units hang together.
+    #[cfg(feature = "robot")]
+    pub(super) has_trees: bool,
 }
 
 /// How a pair gives way.
@@ -169,8 +185,67 @@ impl<'s> World<'s> {
             pushes: PUSHED,
             #[cfg(feature = "compliance")]
             gives_way: false,
+            #[cfg(feature = "robot")]
+            has_trees: units.iter().any(|unit| unit.link.above.is_some()),
         }
         .finer()
+        .with_trees()
+    }
+
+    /// In as many substeps as joints want.
+    #[cfg(feature = "robot")]
+    fn with_trees(self) -> Self {
+        let mut substeps = self.substeps;
+        while self.has_trees
+            && substeps < MOST_JOINED_SUBSTEPS
+            && f32::from(substeps) < self.scene.dt * JOINED_HZ - JOINED_SLACK
+        {
+            substeps += 1;
+        }
+        if substeps == self.substeps {
+            return self;
+        }
+        let pushes = self.pushes * f32::from(self.substeps) / f32::from(substeps);
+        World { substeps, substep_s: self.scene.dt / f32::from(substeps), pushes, ..self }
+    }
+
+    /// As they are.
+    #[cfg(not(feature = "robot"))]
+    #[inline(always)]
+    fn with_trees(self) -> Self {
+        self
+    }
+
+    /// Whether units hang together.
+    #[inline(always)]
+    pub(super) fn has_trees(&self) -> bool {
+        #[cfg(feature = "robot")]
+        return self.has_trees;
+        #[cfg(not(feature = "robot"))]
+        false
+    }
+
+    /// Seconds of so many of the step's ticks.
+    pub(super) fn seconds(&self, ticks: u16) -> f32 {
+        f32::from(ticks) * (self.scene.dt / f32::from(TICKS * u16::from(self.substeps)))
+    }
+
+    /// What gravity adds to a velocity in half a substep, m/s.
+    #[cfg(feature = "robot")]
+    pub(super) fn half_gravity(&self) -> Vector3<f32> {
+        self.scene.gravity * (0.5 * self.substep_s)
+    }
+
+    /// The most that takes a joint to its target, in the scene's measure; infinite without a limit.
+    #[cfg(feature = "robot")]
+    pub(super) fn force(&self, above: &crate::structure::link::Above) -> f32 {
+        let measure = &self.scene.measure;
+        let (second, length) = (self.scene.second.get().copied().unwrap_or(1.0), measure.length());
+        let newtons = above.guide.force * ((second * second) / (measure.mass() * length));
+        match above.guide.way {
+            crate::structure::link::Way::Slides => newtons,
+            _ => newtons / length,
+        }
     }
 
     /// The world of a substep of so many [`TICKS`].
@@ -1107,12 +1182,12 @@ impl<'r> Bodies<'r> {
         self.shifts.as_flattened_mut().fill(0.0);
     }
 
-    /// Moves all units by their velocities over a substep.
+    /// Moves all units by their velocities over a substep, but for those that hang together.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    pub(super) fn advance(&mut self, world: &World<'_>) {
+    pub(super) fn advance(&mut self, world: &World<'_>, hangs: impl Fn(usize) -> bool) {
         let time = world.substep_s;
         for (number, unit) in world.units.iter().enumerate() {
-            if self.is_left_out(number) {
+            if self.is_left_out(number) || hangs(number) {
                 continue;
             }
             let mover = self.mover(number);
@@ -1164,7 +1239,12 @@ impl<'r> Bodies<'r> {
 
     /// Moves and turns a unit.
     #[cfg_attr(rigidformer_dsp, inline(never))]
-    fn advance_by(&mut self, number: usize, unit: &UnitSlot, [way, turn]: [Vector3<f32>; 2]) {
+    pub(super) fn advance_by(
+        &mut self,
+        number: usize,
+        unit: &UnitSlot,
+        [way, turn]: [Vector3<f32>; 2],
+    ) {
         let Some(row) = self.moved_row_mut(number) else { return };
         let more = [way.x, way.y, way.z, turn.x, turn.y, turn.z];
         row.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
@@ -1173,6 +1253,46 @@ impl<'r> Bodies<'r> {
         let way = Vector3::new(x, y, z) + unit.course.centre_low;
         let rotation = turned(&self.pose(number).rotation, &turn);
         self.set_pose(number, &Pose { rotation, centre: unit.current.centre + way });
+    }
+
+    /// A unit's rotation, and its way and turn since the step began.
+    #[cfg(feature = "robot")]
+    pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, Six) {
+        let [way, turn] = self.moved(number);
+        (self.pose(number).rotation, Six { way, turn })
+    }
+
+    /// Puts a unit where a way and a turn since the step began take it.
+    #[cfg(feature = "robot")]
+    pub(super) fn put(
+        &mut self,
+        number: usize,
+        unit: &UnitSlot,
+        (rotation, moved): (&Matrix3<f32>, &Six),
+    ) {
+        if let Some(row) = self.moved_row_mut(number) {
+            *row = moved.row();
+        }
+        let way = moved.way + unit.course.centre_low;
+        self.set_pose(number, &Pose { rotation: *rotation, centre: unit.current.centre + way });
+    }
+
+    /// Takes out of a unit's rotation what rounding has added.
+    #[cfg(feature = "robot")]
+    pub(super) fn square(&mut self, number: usize) {
+        let pose = self.pose(number);
+        self.set_pose(number, &Pose { rotation: squared(&pose.rotation), ..pose });
+    }
+
+    /// From the centre of one unit to that of another: differences of near numbers, so that nothing is lost far from the origin.
+    #[cfg(feature = "robot")]
+    pub(super) fn apart(&self, world: &World<'_>, from: usize, to: usize) -> Vector3<f32> {
+        let [Some(here), Some(there)] = [from, to].map(|unit| world.units.get(unit)) else {
+            return Vector3::zeros();
+        };
+        let [[mine, _], [theirs, _]] = [from, to].map(|unit| self.moved(unit));
+        let low = (there.course.centre_low + theirs) - (here.course.centre_low + mine);
+        (there.current.centre - here.current.centre) + low
     }
 
     /// The way and the turn of a unit since the step began.

@@ -2,6 +2,7 @@
 
 use super::bodies::{Bodies, FAR, Mover, World};
 use super::contacts::{CONTACT, Contact, Contacts, Held, Old};
+use super::trees::Trees;
 #[cfg(rigidformer_host)]
 use super::wide;
 use crate::geometry::{dot, norm, opposite};
@@ -331,7 +332,7 @@ pub(super) fn carry(world: &World<'_>, bodies: &mut Bodies<'_>, contacts: &mut C
 pub(super) fn stop<S: Schedule>(
     schedule: S,
     world: &World<'_>,
-    bodies: &mut Bodies<'_>,
+    (bodies, trees): (&mut Bodies<'_>, &mut Trees<'_>),
     contacts: &mut Contacts<'_>,
 ) {
     #[cfg(rigidformer_host)]
@@ -346,11 +347,13 @@ pub(super) fn stop<S: Schedule>(
         if !sweep(schedule, world, bodies, contacts, (Goal::Stop, turn % 2 == 1)) {
             break;
         }
+        trees.follow(world, bodies, false);
     }
     for _ in 0..world.share_of(SETTLING) {
         if !sweep(schedule, world, bodies, contacts, (Goal::Settle, true)) {
             break;
         }
+        trees.follow(world, bodies, false);
     }
     #[cfg(rigidformer_host)]
     wide::unpack(contacts);
@@ -361,13 +364,14 @@ pub(super) fn stop<S: Schedule>(
 pub(super) fn bounce<S: Schedule>(
     schedule: S,
     world: &World<'_>,
-    bodies: &mut Bodies<'_>,
+    (bodies, trees): (&mut Bodies<'_>, &mut Trees<'_>),
     contacts: &mut Contacts<'_>,
 ) {
     for turn in 0..BOUNCING {
         if !sweep(schedule, world, bodies, contacts, (Goal::Bounce, turn % 2 == 1)) {
             break;
         }
+        trees.follow(world, bodies, true);
     }
     #[cfg(rigidformer_host)]
     wide::unpack(contacts);

@@ -13,6 +13,11 @@ mod impulses;
 mod patch;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "robot")]
+mod trees;
+#[cfg(not(feature = "robot"))]
+#[path = "no_trees.rs"]
+mod trees;
 #[cfg(rigidformer_host)]
 mod wide;
 
@@ -26,6 +31,7 @@ use contacts::Contacts;
 #[cfg(rigidformer_host)]
 use contacts::SLOTS;
 use nalgebra::Vector3;
+use trees::Trees;
 
 /// Room for contacts, a unit of a copy with so many: the workspace has a size that is known ahead. A copy with M units has M times as many.
 pub(crate) const fn contacts_of(units: usize) -> usize {
@@ -38,7 +44,7 @@ const FEW: usize = 32;
 
 /// Numbers of scratch a unit of a copy with so many: itself, its contacts and those of the substep before.
 pub(crate) const fn scratch(units: usize) -> usize {
-    bodies::BODY + contacts_of(units) * (contacts::CONTACT + contacts::OLD)
+    bodies::BODY + trees::LIMB + contacts_of(units) * (contacts::CONTACT + contacts::OLD)
 }
 
 /// And behind those of all units of a copy, for layouts with an index: it lets substeps leave units out, threads share one, and sweeps
@@ -51,8 +57,10 @@ pub(crate) const fn extra(units: usize) -> usize {
     numbers
 }
 
-const _: () =
-    assert!(scratch(FEW) <= 465, "every unit of every copy pays for the solver's scratch");
+const _: () = assert!(
+    scratch(FEW) - trees::LIMB <= 465,
+    "every unit of every copy pays for the solver's scratch"
+);
 
 /// Substeps a second, at least: contacts are found once a substep, so longer ones find them late.
 const SUBSTEPS_HZ: f32 = 144.0;
@@ -94,19 +102,21 @@ fn solve_with<S: Schedule>(
     may_rest: bool,
 ) {
     let world = World::new(scene, first, substeps(scene.dt));
-    let (mut bodies, mut contacts) = carve(scratch, prior, world.units);
-    let is_done = in_substeps(schedule, &world, (&mut bodies, &mut contacts), may_rest);
+    // What hangs from something wakes with it.
+    let may_rest = may_rest && !world.has_trees();
+    let (mut bodies, mut contacts, mut trees) = carve(scratch, prior, world.units);
+    let is_done = in_substeps(schedule, &world, (&mut bodies, &mut contacts, &mut trees), may_rest);
     #[cfg(rigidformer_host)]
     if !is_done {
         // Contact sent a unit out of its range: nothing is certain to stay as it is.
         contacts.clear();
-        in_substeps(schedule, &world, (&mut bodies, &mut contacts), false);
+        in_substeps(schedule, &world, (&mut bodies, &mut contacts, &mut trees), false);
     }
     #[cfg(not(rigidformer_host))]
     let _ = is_done;
     // The last one first: the motion of a cluster is in the row of its first unit.
     for (number, unit) in world.units.iter().enumerate().rev() {
-        let (next, share) = outcome(scene, &world, &bodies, (number, unit));
+        let (next, share) = outcome(scene, &world, (&bodies, &trees), (number, unit));
         bodies.tell(number, &next, share);
     }
 }
@@ -127,10 +137,11 @@ pub(crate) fn mark_still(units: &mut [UnitSlot], prior: &[f32], scratch: &mut [f
 fn in_substeps<S: Schedule>(
     schedule: S,
     world: &World<'_>,
-    (bodies, contacts): (&mut Bodies<'_>, &mut Contacts<'_>),
+    (bodies, contacts, trees): (&mut Bodies<'_>, &mut Contacts<'_>, &mut Trees<'_>),
     may_rest: bool,
 ) -> bool {
     bodies.begin(world);
+    trees.begin(world, bodies);
     #[cfg(rigidformer_host)]
     let left_out = bodies.range(world, contacts::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
@@ -153,7 +164,8 @@ fn in_substeps<S: Schedule>(
             }
         }
         contacts.find(schedule, world, bodies);
-        let least = left.div_ceil(u16::from(MOST_CUT_SUBSTEPS.saturating_sub(taken).max(1)));
+        let most = MOST_CUT_SUBSTEPS.max(if world.has_trees() { 2 * step.substeps } else { 0 });
+        let least = left.div_ceil(u16::from(most.saturating_sub(taken).max(1)));
         let ticks = impulses::ticks(world, bodies, contacts).max(least);
         if ticks < world.ticks {
             // What rests does so in steps that are not cut.
@@ -192,13 +204,16 @@ fn in_substeps<S: Schedule>(
         if !world.gives_way() {
             bodies.forget();
         }
-        impulses::stop(schedule, world, bodies, contacts);
+        trees.choose(world, bodies, step.seconds(left));
+        impulses::stop(schedule, world, (bodies, trees), contacts);
         let bounces = impulses::mark(world, bodies, contacts);
-        bodies.advance(world);
+        bodies.advance(world, |unit| trees.moves(unit));
+        trees.advance(world, bodies);
         if bounces {
-            impulses::bounce(schedule, world, bodies, contacts);
+            impulses::bounce(schedule, world, (bodies, trees), contacts);
         }
         impulses::push_apart(world, bodies, contacts);
+        trees.finish(world, bodies);
         left = left.saturating_sub(world.ticks);
         taken = taken.saturating_add(1);
     }
@@ -213,19 +228,22 @@ fn carve<'r>(
     scratch: &'r mut [f32],
     prior: &'r mut [f32],
     units: &'r [UnitSlot],
-) -> (Bodies<'r>, Contacts<'r>) {
+) -> (Bodies<'r>, Contacts<'r>, Trees<'r>) {
     let count = units.len();
     let (own, others) = scratch.split_at_mut((count * bodies::BODY).min(scratch.len()));
+    let (limbs, others) = others.split_at_mut((count * trees::LIMB).min(others.len()));
+    let trees = Trees::new(limbs, count);
     let bodies = Bodies::new(own, prior, units);
     #[cfg(rigidformer_host)]
     {
-        let room = count * (self::scratch(count) - bodies::BODY);
+        let room = count * (self::scratch(count) - bodies::BODY - trees::LIMB);
         let (others, mut extra) = others.split_at_mut(room.min(others.len()));
         let bodies = bodies.with_ranges(&mut extra);
-        (bodies, Contacts::new(others, contacts_of(count) * count).with_slots(extra, SLOTS * count))
+        let contacts = Contacts::new(others, contacts_of(count) * count);
+        (bodies, contacts.with_slots(extra, SLOTS * count), trees)
     }
     #[cfg(not(rigidformer_host))]
-    (bodies, Contacts::new(others, contacts_of(count) * count))
+    (bodies, Contacts::new(others, contacts_of(count) * count), trees)
 }
 
 /// Parts that a step is taken in, at least.
@@ -242,7 +260,7 @@ fn substeps(dt: f32) -> u8 {
 fn outcome(
     scene: &Scene<'_>,
     world: &World<'_>,
-    bodies: &Bodies<'_>,
+    (bodies, trees): (&Bodies<'_>, &Trees<'_>),
     (number, unit): (usize, &UnitSlot),
 ) -> (State, f32) {
     match unit.role {
@@ -257,6 +275,13 @@ fn outcome(
     #[cfg(rigidformer_host)]
     if bodies.is_still(number) {
         return (world.lying(unit), -1.0);
+    }
+    if trees.moves(number) {
+        // The network has seen no joints: it corrects what contact changes, and what touches nothing flies by impulses alone.
+        let touched = marks.touched != Touched::Never;
+        let share = if touched { world.share(unit, &mover, None) } else { 0.0 };
+        cut(&mut mover, scene.dt);
+        return (moved(world, bodies, (number, unit), &mover), share);
     }
     if marks.touched == Touched::Never {
         return (unit.free(&scene.fall()), 0.0);

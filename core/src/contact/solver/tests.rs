@@ -13,7 +13,7 @@ use crate::kernels::{Portable, Serial};
 use crate::limits::MAX_PLANES;
 use crate::measure::Measure;
 use crate::scene::{Compliance, Physics, Unit};
-use crate::stand_in::OfCompliance;
+use crate::stand_in::{OfCompliance, OfForce};
 use nalgebra::{Matrix3, Point3, Vector3};
 use std::{format, vec, vec::Vec};
 
@@ -105,7 +105,7 @@ impl World {
             planes: self.planes.iter().copied().collect(),
             plane_compliance: OfCompliance::new(self.plane_compliance),
             measure: Measure::SI,
-            second: OfCompliance::new(1.0),
+            second: OfForce::new(1.0),
             gravity: self.gravity,
             contact_law: self.contact_law,
             dt: self.dt,

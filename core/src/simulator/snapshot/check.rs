@@ -2,9 +2,9 @@
 
 use super::identity::identity;
 use super::layout::{
-    BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, HEAD, LAW,
-    LAWFUL, MAGIC, NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE, SOFT, UNIT,
-    VERSION, limit_of, role_of,
+    BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, GUIDE, GUIDED,
+    HEAD, LAW, LAWFUL, MAGIC, NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE,
+    SOFT, TARGET, UNIT, VERSION, limit_of, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
@@ -109,6 +109,62 @@ impl<'b> Checked<'b> {
         if self.gives_way() { COMPLIANCE } else { 0 }
     }
 
+    /// Whether it has what joints let units do.
+    pub(super) fn is_guided(&self) -> bool {
+        self.flags() & GUIDED != 0
+    }
+
+    /// Words of a unit.
+    fn unit_words(&self) -> usize {
+        if self.is_guided() { UNIT + GUIDE } else { UNIT }
+    }
+
+    /// Words of a unit in a copy.
+    fn copy_unit_words(&self) -> usize {
+        COPY_UNIT + self.compliance_words() + if self.is_guided() { TARGET } else { 0 }
+    }
+
+    /// Where a joint is wanted, whose unit's numbers a copy has there.
+    #[cfg(feature = "robot")]
+    pub(super) fn target(&self, at: usize) -> Option<f32> {
+        let target = self.words.number(at + COPY_UNIT + self.compliance_words());
+        Some(target).filter(|target| self.is_guided() && *target != f32::INFINITY)
+    }
+
+    /// What a joint lets the unit with a record there do; none where that is nothing sound.
+    #[cfg(feature = "robot")]
+    pub(super) fn guide(&self, at: usize) -> Option<crate::structure::link::Guide> {
+        use crate::structure::link::{Guide, Way};
+        if !self.is_guided() {
+            return Some(Guide::BALL);
+        }
+        let (words, at) = (&self.words, at + UNIT);
+        let way = super::layout::way_of(words.word(at))?;
+        let number = |place: usize| words.number(at + place);
+        let guide = Guide {
+            way,
+            axis: words.vector(at + 1),
+            rest: [4, 5, 6, 7].map(number),
+            limits: [8, 9].map(number),
+            force: number(10),
+            target: None,
+        };
+        if way == Way::Ball {
+            return Some(Guide::BALL);
+        }
+        // As `Simulator::join` leaves them, but for rounding.
+        let is_one = |sum: f32| (sum - 1.0).abs() < 1e-5;
+        let [x, y, z, w] = guide.rest;
+        let axis = crate::geometry::dot(&guide.axis, &guide.axis);
+        let is_axis = if way.has_axis() { is_one(axis) } else { axis == 0.0 };
+        let [least, greatest] = guide.limits;
+        let is_sound = is_axis
+            && is_one((x * x + y * y) + (z * z + w * w))
+            && least <= greatest
+            && guide.force > 0.0;
+        is_sound.then_some(guide)
+    }
+
     /// Whether it says how contacts that bounce differ from rigid ones.
     fn is_lawful(&self) -> bool {
         self.flags() & LAWFUL != 0
@@ -153,7 +209,7 @@ impl<'b> Checked<'b> {
     }
 
     pub(super) fn unit(&self, number: usize) -> Record {
-        let (words, at) = (&self.words, self.start_of_units() + number * UNIT);
+        let (words, at) = (&self.words, self.start_of_units() + number * self.unit_words());
         let packed = words.word(at + 4);
         // Checked to be one.
         let role = role_of(packed & 3).unwrap_or_default();
@@ -181,7 +237,7 @@ impl<'b> Checked<'b> {
 
     /// The numbers of two bonded units.
     pub(super) fn pair(&self, bond: usize) -> [usize; 2] {
-        let at = self.start_of_units() + self.units * UNIT + bond * PAIR;
+        let at = self.start_of_units() + self.units * self.unit_words() + bond * PAIR;
         [self.words.count(at), self.words.count(at + 1)]
     }
 
@@ -191,7 +247,7 @@ impl<'b> Checked<'b> {
     }
 
     fn words_of_copy(&self) -> usize {
-        let unit = COPY_UNIT + self.compliance_words();
+        let unit = self.copy_unit_words();
         let (units, bonds) = (self.units * unit, self.bonds * COPY_BOND);
         units
             .saturating_add(bonds)
@@ -201,9 +257,7 @@ impl<'b> Checked<'b> {
 
     /// Where a copy has the numbers of a unit.
     pub(super) fn copy_unit(&self, copy: usize, unit: usize) -> usize {
-        self.start_of_copies
-            + copy * self.words_of_copy()
-            + unit * (COPY_UNIT + self.compliance_words())
+        self.start_of_copies + copy * self.words_of_copy() + unit * self.copy_unit_words()
     }
 
     pub(super) fn physics(&self, at: usize) -> Physics {
@@ -315,7 +369,7 @@ impl Simulator<'_, '_> {
         };
         // Lengths come first: what is not there counts as 0.
         let end = words.len() - END;
-        let behind = checked.start_of_units() + units * UNIT + bonds * PAIR;
+        let behind = checked.start_of_units() + units * checked.unit_words() + bonds * PAIR;
         let length = |expected: usize| SnapshotError::Length {
             found: words.len().saturating_mul(WORD),
             expected: expected.saturating_add(END).saturating_mul(WORD),
@@ -407,10 +461,11 @@ impl Simulator<'_, '_> {
             ensure(law.is_sound() && is_plain, HEAD + SCENE)?;
             ensure(limit_of(checked.words.word(HEAD + SCENE + 1)).is_some(), HEAD + SCENE + 1)?;
         }
-        ensure(
-            checked.flags() <= COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK | LAWFUL,
-            HEAD + 4,
-        )
+        if cfg!(not(feature = "robot")) && checked.is_guided() {
+            return Err(SnapshotError::LeftOut);
+        }
+        let known = COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK | LAWFUL | GUIDED;
+        ensure(checked.flags() <= known, HEAD + 4)
     }
 
     /// Names, and what hangs from what.
@@ -440,6 +495,14 @@ impl Simulator<'_, '_> {
             ensure(above == 0, unit.at + 12)?;
             let pivots = unit.at + 13..unit.at + 19;
             within(&checked.words, pivots, MAX_COORDINATE_M)?;
+            #[cfg(feature = "robot")]
+            {
+                let guide = checked.guide(unit.at);
+                let is_ball =
+                    guide.is_some_and(|guide| guide.way == crate::structure::link::Way::Ball);
+                let may_be = is_ball || self.model.config().motion.has_impulses();
+                ensure(guide.is_some() && may_be, unit.at + UNIT)?;
+            }
         }
         Ok(())
     }
@@ -511,6 +574,10 @@ impl Simulator<'_, '_> {
             let at = checked.copy_unit(copy, number);
             ensure(checked.physics(at).is_sound(), at)?;
             ensure(checked.unit_compliance(at).is_sound(), at + COPY_UNIT)?;
+            #[cfg(feature = "robot")]
+            if let Some(target) = checked.target(at) {
+                ensure(target.abs() <= MAX_COORDINATE_M, at + COPY_UNIT)?;
+            }
             ensure(words.count(at + 3) <= MOST_BODY.max(checked.units + 1), at + 3)?;
             let is_held = words.word(at + 4);
             // Free units alone diverge.

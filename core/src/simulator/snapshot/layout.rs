@@ -3,6 +3,8 @@
 use crate::contact::law::FrictionLimit;
 use crate::geometry::{COURSE, POSE};
 use crate::scene::Role;
+#[cfg(feature = "robot")]
+use crate::structure::link::Way;
 
 /// What a snapshot begins with.
 pub(super) const MAGIC: u32 = u32::from_le_bytes(*b"RFST");
@@ -38,10 +40,17 @@ pub(super) const GIVES_WAY: u32 = 4;
 pub(super) const NO_NETWORK: u32 = 8;
 /// Contacts that bounce are no rigid ones: [`LAW`] words behind those of the scene say how they differ.
 pub(super) const LAWFUL: u32 = 16;
+/// Joints have axes, or leave nothing open: each unit has [`GUIDE`] words more, and [`TARGET`] in a copy.
+pub(super) const GUIDED: u32 = 32;
 /// Words of how contact gives way.
 pub(super) const COMPLIANCE: usize = 2;
 /// Words of how contacts that bounce differ from rigid ones.
 pub(super) const LAW: usize = 2;
+
+/// Words of what a joint lets a unit do: its kind, axis, rest, limits and force.
+pub(super) const GUIDE: usize = 11;
+/// Words of where a joint is wanted.
+pub(super) const TARGET: usize = 1;
 
 /// The solver takes the unit for a ball.
 pub(super) const BALL: u32 = 1 << 2;
@@ -76,4 +85,23 @@ pub(super) fn code_of(role: Role) -> u32 {
 /// The role of a number.
 pub(super) fn role_of(code: u32) -> Option<Role> {
     [Role::Free, Role::Driven, Role::Fixed].into_iter().find(|role| code_of(*role) == code)
+}
+
+/// What a joint leaves open as a number.
+#[cfg(feature = "robot")]
+pub(super) fn code_of_way(way: Way) -> u32 {
+    match way {
+        Way::Ball => 0,
+        Way::Turns => 1,
+        Way::Slides => 2,
+        Way::Fixed => 3,
+    }
+}
+
+/// What a joint of a number leaves open.
+#[cfg(feature = "robot")]
+pub(super) fn way_of(code: u32) -> Option<Way> {
+    [Way::Ball, Way::Turns, Way::Slides, Way::Fixed]
+        .into_iter()
+        .find(|way| code_of_way(*way) == code)
 }

@@ -24,9 +24,11 @@ use crate::scene::{Compliance, UnitSlot};
 use crate::slices::slice_at;
 use core::ops::Range;
 use layout::{
-    BALL, COMMANDED, END, GIVES_WAY, HEAD, LAWFUL, MAGIC, NO_NETWORK, PATCH, PIECES, QUARANTINES,
-    VERSION, code_of, code_of_limit,
+    BALL, COMMANDED, END, GIVES_WAY, GUIDED, HEAD, LAWFUL, MAGIC, NO_NETWORK, PATCH, PIECES,
+    QUARANTINES, VERSION, code_of, code_of_limit,
 };
+#[cfg(feature = "robot")]
+use layout::{GUIDE, code_of_way};
 use nalgebra::Vector3;
 use words::{Compare, Count, Sink, WORD, Writer};
 
@@ -190,6 +192,18 @@ impl Simulator<'_, '_> {
         (0..given.planes.len()).any(|plane| !scene.plane_compliance(plane).is_rigid())
     }
 
+    /// Whether joints are more than pivots.
+    fn is_guided(&self) -> bool {
+        #[cfg(feature = "robot")]
+        return self.scene.units().iter().any(|unit| {
+            unit.link
+                .above
+                .is_some_and(|above| above.guide.way != crate::structure::link::Way::Ball)
+        });
+        #[cfg(not(feature = "robot"))]
+        false
+    }
+
     /// What all copies share.
     fn write_scene<S: Sink>(&self, to: &mut S, gives_way: bool) {
         let Self { scene, given, sizes, .. } = self;
@@ -202,7 +216,9 @@ impl Simulator<'_, '_> {
         let network = if self.has_network { 0 } else { NO_NETWORK };
         let law = scene.contact_law;
         let lawful = if law.is_rigid() { 0 } else { LAWFUL };
-        to.word(commanded | if quarantines { QUARANTINES } else { 0 } | giving | network | lawful);
+        let guided = if self.is_guided() { GUIDED } else { 0 };
+        let quarantines = if quarantines { QUARANTINES } else { 0 };
+        to.word(commanded | quarantines | giving | network | lawful | guided);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());
@@ -219,7 +235,13 @@ impl Simulator<'_, '_> {
                 write_compliance(&scene.plane_compliance(number), to);
             }
         }
-        units.iter().for_each(|unit| self.write_unit(units, unit, to));
+        let is_guided = self.is_guided();
+        for unit in units {
+            self.write_unit(units, unit, to);
+            if is_guided {
+                write_guide(unit, to);
+            }
+        }
         self.pairs().for_each(|pair| to.words(pair.map(|unit| unit as u32)));
         for unit in units {
             self.write_points(unit, to);
@@ -276,6 +298,8 @@ impl Simulator<'_, '_> {
         let Self { scene, lasting, sizes, .. } = self;
         let units = || scene.units().iter().skip(copy * scene.per_copy).take(scene.per_copy);
         let gives_way = self.gives_way();
+        #[cfg(feature = "robot")]
+        let is_guided = self.is_guided();
         for unit in units() {
             let physics = unit.physics;
             to.numbers([physics.mass_kg, physics.friction, physics.restitution]);
@@ -287,6 +311,11 @@ impl Simulator<'_, '_> {
             to.numbers(unit.course.row());
             if gives_way {
                 write_compliance(&unit.compliance(), to);
+            }
+            #[cfg(feature = "robot")]
+            if is_guided {
+                let target = unit.link.above.and_then(|above| above.guide.target);
+                to.number(target.unwrap_or(f32::INFINITY));
             }
         }
         #[cfg(feature = "deform")]
@@ -313,3 +342,19 @@ impl Simulator<'_, '_> {
 fn write_compliance<S: Sink>(compliance: &Compliance, to: &mut S) {
     to.numbers([compliance.stiffness_n_m, compliance.dissipation_s_m]);
 }
+
+/// Writes what a joint lets a unit do.
+#[cfg(feature = "robot")]
+fn write_guide<S: Sink>(unit: &UnitSlot, to: &mut S) {
+    let Some(above) = unit.link.above else { return to.words([0; GUIDE]) };
+    let guide = above.guide;
+    to.word(code_of_way(guide.way));
+    to.vector(&guide.axis);
+    to.numbers(guide.rest);
+    to.numbers(guide.limits);
+    to.number(guide.force);
+}
+
+/// Nothing hangs.
+#[cfg(not(feature = "robot"))]
+fn write_guide<S: Sink>(_: &UnitSlot, _: &mut S) {}

@@ -129,6 +129,10 @@ impl Simulator<'_, '_> {
                 *pose = words.pose(at + 6 + place * POSE);
             }
             slot.course = words.course(at + COPY_COURSE);
+            #[cfg(feature = "robot")]
+            if let Some(above) = &mut slot.link.above {
+                above.guide.target = checked.target(at);
+            }
             // Clusters are found anew.
             #[cfg(feature = "deform")]
             (slot.member = crate::structure::member::Member::ALONE);
@@ -216,9 +220,11 @@ impl Simulator<'_, '_> {
 /// What a unit hangs from.
 #[cfg(feature = "robot")]
 fn above(checked: &Checked<'_>, unit: &super::check::Record) -> crate::structure::link::Link {
-    use crate::structure::link::{Above, Link};
+    use crate::structure::link::{Above, Guide, Link};
     let Some(parent) = unit.parent.checked_sub(1) else { return Link::NONE };
     let parent = checked.words.long(checked.unit(parent).at);
     let [pivot, parent_pivot] = [13, 16].map(|at| Point3::from(checked.words.vector(unit.at + at)));
-    Link { above: Some(Above { parent, pivot, parent_pivot }), ..Link::NONE }
+    // Checked to be sound.
+    let guide = checked.guide(unit.at).unwrap_or(Guide::BALL);
+    Link { above: Some(Above { parent, pivot, parent_pivot, guide }), ..Link::NONE }
 }

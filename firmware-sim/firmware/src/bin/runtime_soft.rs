@@ -54,7 +54,7 @@ fn change(simulator: &mut Simulator<'_, '_>, known: &[Posed<'_>]) {
     let _ = black_box(simulator.bond(pairs));
     let _ = black_box(simulator.break_bond(black_box([id, other])));
     let pivot = black_box(Point3::origin());
-    let joint = Joint { unit: id, parent: other, pivot, parent_pivot: pivot };
+    let joint = Joint::ball(id, other, pivot, pivot);
     let _ = black_box(simulator.join(black_box(&joint)));
     let _ = black_box(simulator.unjoin(id));
     let _ = black_box(simulator.set_role(id, black_box(Role::Driven)));

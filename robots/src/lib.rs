@@ -32,5 +32,5 @@ pub use inertia::Inertia;
 pub use load::{load_robot, load_robot_with, parse_robot};
 pub use options::LoadOptions;
 pub use robot::{JointKind, Link, Mimic, Robot, RobotJoint};
-pub use scene::{RobotScene, SceneOptions};
+pub use scene::{HeldJoint, RobotScene, SceneOptions};
 pub use sets::{MeshSetOptions, load_meshes};

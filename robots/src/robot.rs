@@ -234,6 +234,15 @@ impl Robot {
         Ok(poses)
     }
 
+    /// Where a joint with an axis is, at positions of all.
+    pub(crate) fn position_of(&self, joint: &RobotJoint, positions: &[f64]) -> Option<f64> {
+        let number = self.joints.iter().position(|other| std::ptr::eq(other, joint))?;
+        let (leader, factor, offset) = self.followed(number)?;
+        let before = self.joints.iter().take(leader).filter(|joint| joint.mimic.is_none());
+        let start: usize = before.map(|joint| joint.kind.positions()).sum();
+        Some(factor * positions.get(start)? + offset)
+    }
+
     /// The joint that a joint follows in the end, with factor and offset.
     fn followed(&self, number: usize) -> Option<(usize, f64, f64)> {
         let (mut at, mut factor, mut offset) = (number, 1.0, 0.0);

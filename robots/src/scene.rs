@@ -1,9 +1,12 @@
 //! A robot as the units of a scene.
 
 use nalgebra::{
-    Isometry3, Matrix3, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion, Vector3,
+    Isometry3, Matrix3, Point3, Rotation3, SymmetricEigen, Translation3, UnitQuaternion,
+    UnitVector3, Vector3,
 };
-use rigidformer_core::{MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{
+    Joint, JointAxis, JointKind as Held, MAX_PIECES, MAX_PLANES, Physics, Plane, Role, UnitId,
+};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, SceneNotes, Split, scene_file};
 use rigidformer_runtime::hull::ConvexHull;
@@ -12,7 +15,7 @@ use serde_json::{Value, json};
 use std::path::Path;
 
 use crate::error::RobotError;
-use crate::robot::{JointKind, Link, Robot};
+use crate::robot::{JointKind, Link, Robot, RobotJoint};
 use crate::sample;
 
 /// Points of a convex piece, at most: a step's time grows with them.
@@ -23,6 +26,8 @@ const MOST_MERGED: usize = 256;
 const SAME_M: f64 = 1e-6;
 /// The least mass of a unit, kg, as the simulator takes it.
 const LEAST_KG: f64 = 1e-9;
+/// The farthest that a joint slides, metres, as the simulator takes it.
+const MOST_M: f32 = 1e6;
 /// The mass of units that nothing moves, kg: it counts for nothing.
 const STATIC_KG: f32 = 1.0;
 
@@ -81,16 +86,78 @@ pub struct RobotScene {
     pub frames: Vec<Isometry3<f64>>,
     /// Joints between units, as the file's metadata have them: see [`file`](Self::file).
     pub joints: Value,
+    /// Joints between units, as a simulator holds them: see [`joints_of`](Self::joints_of).
+    pub held: Vec<HeldJoint>,
     /// What units leave out.
     pub notes: Vec<String>,
+}
+
+/// A joint between two units of a scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HeldJoint {
+    /// Number of the unit that hangs.
+    pub unit: usize,
+    /// Number of the unit that it hangs from.
+    pub parent: usize,
+    /// The pivot in the unit's frame, metres.
+    pub pivot: Point3<f32>,
+    /// The pivot in the parent's frame, metres.
+    pub parent_pivot: Point3<f32>,
+    /// Kind, axis in the unit's frame, and limits, which count from the position that the scene begins at.
+    pub kind: Held,
+}
+
+impl RobotScene {
+    /// The joints for [`Simulator::join`](rigidformer_core::Simulator::join), once units are where the scene has them. `ids`: the
+    /// simulator's ids of the scene's units; joints of units beyond them are left out.
+    ///
+    /// Models that move units by impulses hold all kinds. Other models hold balls alone: `held` tells which those are.
+    ///
+    /// ```
+    /// use rigidformer_core::{JointKind, Limits, Posed};
+    /// use rigidformer_robots::{LoadOptions, SceneOptions, parse_robot};
+    /// use rigidformer_runtime::{models::LoadedModel, world::World};
+    /// let door = br#"<mujoco><compiler angle="degree"/><worldbody><body name="frame" pos="0 0 1"><geom type="box" size=".05 .05 1"/>
+    ///   <body name="door" pos=".05 0 0"><joint axis="0 0 1" range="0 90" limited="true"/>
+    ///     <geom type="box" size=".4 .02 .9" pos=".42 0 0"/></body></body></worldbody></mujoco>"#;
+    /// let robot = parse_robot("door.xml".as_ref(), door, &LoadOptions::default())?;
+    /// let mut options = SceneOptions::default();
+    /// options.fixed_base = true;
+    /// let made = robot.scene(&options)?;
+    /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// let mut world = World::new(&model, Limits { units: 2, points: 64 })?;
+    /// let units = made.scene.units().iter();
+    /// let posed = units.map(|unit| Posed { unit: unit.as_unit(), previous: unit.poses[0], current: unit.poses[1] });
+    /// let door = world.edit(|simulator| {
+    ///     simulator.observe_poses(1.0 / 60.0, posed)?;
+    ///     let ids: Vec<_> = (0..2).filter_map(|number| Some(simulator.unit(number)?.id())).collect();
+    ///     for joint in made.joints_of(&ids) {
+    ///         simulator.join(&joint)?;
+    ///     }
+    ///     let door = ids.last().copied().ok_or("no door")?;
+    ///     simulator.set_joint_target(door, Some(1.0))?;
+    ///     Ok::<_, Box<dyn std::error::Error>>(door)
+    /// })?;
+    /// world.step()?;
+    /// assert!(matches!(made.held[0].kind, JointKind::Revolute(_)));
+    /// assert!(world.simulator().joint_position(door).is_some_and(|radians| radians > 0.0));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn joints_of(&self, ids: &[UnitId]) -> Vec<Joint> {
+        let joint = |held: &HeldJoint| {
+            let (unit, parent) = (*ids.get(held.unit)?, *ids.get(held.parent)?);
+            Some(Joint::ball(unit, parent, held.pivot, held.parent_pivot).kind(held.kind))
+        };
+        self.held.iter().filter_map(joint).collect()
+    }
 }
 
 impl Robot {
     /// The robot's links as units: those that have a shape, and a mass or no motion. Parts of one robot have one body number, so that they
     /// do not collide.
     ///
-    /// Units have no centre of mass of their own: a simulator takes that of the shape. Joints between units turn about pivots; slides,
-    /// axes and limits are not held.
+    /// Units have no centre of mass of their own: a simulator takes that of the shape. The scene's pivots hold
+    /// joints that turn, in all ways; [`RobotScene::joints_of`] has their kinds, axes and limits too.
     ///
     /// ```
     /// use rigidformer_core::{Limits, Posed};
@@ -150,7 +217,8 @@ impl Robot {
                 *slot = Some(unit);
             }
         }
-        let (pivots, joints) = self.pivots(&poses, &number, &frames, &mut notes);
+        let positions = options.positions.as_ref().unwrap_or(&rest);
+        let (pivots, held, joints) = self.pivots(&poses, positions, (&number, &frames), &mut notes);
         let scene = RecordedScene::new(
             &self.name,
             0,
@@ -163,7 +231,7 @@ impl Robot {
             .and_then(|scene| scene.with_planes(self.planes_of(options)))
             .and_then(|scene| scene.with_pivots(pivots));
         let scene = scene.map_err(|error| fail(error.to_string()))?;
-        Ok(RobotScene { scene, links, frames, joints, notes })
+        Ok(RobotScene { scene, links, frames, joints, held, notes })
     }
 
     fn planes_of(&self, options: &SceneOptions) -> Vec<Plane> {
@@ -228,10 +296,10 @@ impl Robot {
     fn pivots(
         &self,
         poses: &[Isometry3<f64>],
-        number: &[Option<usize>],
-        frames: &[Isometry3<f64>],
+        positions: &[f64],
+        (number, frames): (&[Option<usize>], &[Isometry3<f64>]),
         notes: &mut Vec<String>,
-    ) -> (Vec<Pivot>, Value) {
+    ) -> (Vec<Pivot>, Vec<HeldJoint>, Value) {
         let unit_of = |link: usize| number.get(link).copied().flatten();
         // (links) The joint that it hangs by.
         let mut above = vec![None; self.links.len()];
@@ -240,7 +308,7 @@ impl Robot {
                 *slot = Some(joint);
             }
         }
-        let (mut pivots, mut rows) = (Vec::new(), Vec::new());
+        let (mut pivots, mut held, mut rows) = (Vec::new(), Vec::new(), Vec::new());
         for (link, unit) in (0..self.links.len()).filter_map(|link| Some((link, unit_of(link)?))) {
             // The joints up to the next link that is a unit.
             let mut chain = Vec::new();
@@ -273,22 +341,41 @@ impl Robot {
             let is_held = !slides && is_one;
             let pivot = (own_pose * frame(unit)).inverse() * first;
             let parent_pivot = (parent_pose * frame(parent)).inverse() * first;
+            let (near, far) = (pivot.cast(), parent_pivot.cast());
             if is_held {
-                let (pivot, parent_pivot) = (pivot.cast(), parent_pivot.cast());
-                pivots.push(Pivot { unit, parent, pivot, parent_pivot, residual_m: 0.0 });
-            } else if !chain.iter().any(|joint| joint.kind == JointKind::Free) {
-                notes.push(format!(
-                    "{} slides against {}, or turns about several points: it is not joined",
-                    name(link),
-                    name(parent_link)
-                ));
+                pivots.push(Pivot {
+                    unit,
+                    parent,
+                    pivot: near,
+                    parent_pivot: far,
+                    residual_m: 0.0,
+                });
             }
-            if chain.iter().all(|joint| joint.kind == JointKind::Fixed) {
-                notes.push(format!(
-                    "{} is fixed to {}, which one pivot does not hold; merge them (--merge-fixed)",
+            let moving: Vec<&RobotJoint> =
+                chain.iter().copied().filter(|joint| joint.kind != JointKind::Fixed).collect();
+            let kind = match moving[..] {
+                [] => Some(Held::Fixed),
+                [joint] => {
+                    let own = (own_pose * frame(unit)).rotation.inverse();
+                    let turn = poses.get(joint.child).map(|pose| own * pose.rotation);
+                    held_kind(
+                        joint,
+                        turn.unwrap_or_default(),
+                        self.position_of(joint, positions).unwrap_or(joint.reference),
+                    )
+                }
+                _ => is_held.then_some(Held::Ball),
+            };
+            match kind {
+                Some(kind) => {
+                    held.push(HeldJoint { unit, parent, pivot: near, parent_pivot: far, kind })
+                }
+                None if chain.iter().any(|joint| joint.kind == JointKind::Free) => {}
+                None => notes.push(format!(
+                    "{} moves against {} in several ways: it is not joined",
                     name(link),
                     name(parent_link)
-                ));
+                )),
             }
             let single = match chain[..] {
                 [joint] => Some(joint),
@@ -300,13 +387,39 @@ impl Robot {
                 "kind": single.map_or("chain", |joint| joint.kind.name()),
                 "unit": unit,
                 "parent": parent,
-                "pivot": is_held.then(|| <[f64; 3]>::from(pivot)),
-                "parent_pivot": is_held.then(|| <[f64; 3]>::from(parent_pivot)),
+                "pivot": kind.is_some().then(|| <[f64; 3]>::from(pivot)),
+                "parent_pivot": kind.is_some().then(|| <[f64; 3]>::from(parent_pivot)),
                 "axis": axis.map(|axis| <[f64; 3]>::from(frame(unit).rotation.inverse() * axis.into_inner())),
                 "limits": single.and_then(|joint| joint.limits()),
             }));
         }
-        (pivots, Value::Array(rows))
+        (pivots, held, Value::Array(rows))
+    }
+}
+
+/// What a simulator holds of a joint: `turn` takes the child's frame to the unit's, `position` is where it is. `None`: it moves freely.
+fn held_kind(joint: &RobotJoint, turn: UnitQuaternion<f64>, position: f64) -> Option<Held> {
+    let axis = |axis: UnitVector3<f64>, limits: Option<[f64; 2]>, most: f64| {
+        let axis = JointAxis::new((turn * axis.into_inner()).cast());
+        let limits = limits.map(|limits| limits.map(|limit| limit - position));
+        // A joint that turns further than a simulator tells apart has no ends there.
+        match limits.filter(|[least, greatest]| *least >= -most && *greatest <= most) {
+            Some([least, greatest]) => axis.limits(least as f32, greatest as f32),
+            None => axis,
+        }
+    };
+    let turns = f64::from(std::f32::consts::PI);
+    match joint.kind {
+        JointKind::Fixed => Some(Held::Fixed),
+        JointKind::Ball => Some(Held::Ball),
+        JointKind::Revolute { axis: along, limits } => {
+            Some(Held::Revolute(axis(along, Some(limits), turns)))
+        }
+        JointKind::Continuous { axis: along } => Some(Held::Revolute(axis(along, None, turns))),
+        JointKind::Prismatic { axis: along, limits } => {
+            Some(Held::Prismatic(axis(along, limits, f64::from(MOST_M))))
+        }
+        JointKind::Free => None,
     }
 }
 

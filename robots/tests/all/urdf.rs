@@ -1,7 +1,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use nalgebra::{Point3, Vector3};
-use rigidformer_core::Role;
+use rigidformer_core::{JointKind as Held, Role};
 use rigidformer_evaluation::scenes::{Dataset, SceneNotes};
 use rigidformer_robots::{
     JointKind, LoadOptions, Robot, SceneOptions, load_robot, load_robot_with,
@@ -76,12 +76,27 @@ fn a_scene_has_units_with_masses_moments_and_pivots_and_is_read_back() {
             .all(|unit| unit.points.len() == 32 && unit.body == Some(0) && unit.role == Role::Free)
     );
     assert_eq!(units[0].pieces.len(), 2);
-    // The arm turns; fingers slide, and are not joined.
+    // The arm turns; fingers slide, which no pivot holds.
     let pivots = made.scene.pivots();
     assert_eq!(pivots.len(), 1);
     let poses: Vec<_> = units.iter().map(|unit| unit.poses[0]).collect();
     assert!(pivots[0].apart_m(&poses).unwrap() < 1e-6);
-    assert!(made.notes.iter().any(|note| note.contains("finger slides")), "{:?}", made.notes);
+    let kinds: Vec<_> = made.held.iter().map(|held| held.kind).collect();
+    let [Held::Revolute(arm), Held::Prismatic(left), Held::Prismatic(_)] = kinds[..] else {
+        unreachable!("{kinds:?}")
+    };
+    assert!(arm.limits.is_some() && left.limits.is_some());
+    assert!(made.held.iter().all(|held| {
+        let [own, parent] = [held.unit, held.parent].map(|unit| poses[unit]);
+        (own * held.pivot - parent * held.parent_pivot).norm() < 1e-6
+    }));
+    // Limits count from where the scene begins.
+    let mut turned = SceneOptions::default();
+    turned.positions = Some(vec![0.25, 0.01]);
+    let moved = robot.scene(&turned).unwrap();
+    let Held::Revolute(later) = moved.held[0].kind else { unreachable!() };
+    let shift = arm.limits.unwrap()[0] - later.limits.unwrap()[0];
+    assert!((shift - 0.25).abs() < 1e-6, "{shift}");
     let notes =
         SceneNotes { dataset: "cart".into(), provenance: "a test".into(), licence: "none".into() };
     let bytes = made.file("cart.safetensors".as_ref(), &notes).unwrap();

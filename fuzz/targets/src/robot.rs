@@ -56,7 +56,7 @@ fn follow(robot: &rigidformer_robots::Robot) {
     robot.describe().expect("a description");
     let mut options = SceneOptions::default();
     options.points = 8;
-    options.principal_frames = robot.links.len() % 2 == 0;
+    options.principal_frames = robot.links.len().is_multiple_of(2);
     if let Ok(made) = robot.scene(&options) {
         assert_eq!(made.links.len(), made.scene.units().len(), "a link a unit");
     }

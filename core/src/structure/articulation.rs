@@ -210,7 +210,7 @@ fn outer(a: &Vector3<f32>, b: &Vector3<f32>) -> Matrix3<f32> {
 pub(crate) fn inverse(matrix: &[f32; SIX]) -> [f32; SIX] {
     // Factors L D Lᵀ: scales of axes that differ by millions cost no digits.
     let [xx, yy, zz, xy, xz, yz] = *matrix;
-    let over = |pivot: f32, whole: f32| if pivot > 1e-7 * whole { 1.0 / pivot } else { 0.0 };
+    let over = |pivot: f32, whole: f32| if pivot > 1e-6 * whole { 1.0 / pivot } else { 0.0 };
     let a = over(xx, 0.0);
     let (l, m) = (xy * a, xz * a);
     let b = over(yy - l * xy, yy);

@@ -518,11 +518,10 @@ fn bits_are_the_same_for_kernels_threads_and_copies() {
             for _ in 0..30 {
                 world.step_copies(&mut |_, outcome| assert!(outcome.is_ok())).unwrap();
             }
-            let poses = |pose: rigidformer_core::Pose| {
-                pose.rotation.iter().chain(&pose.centre).map(|v| v.to_bits()).collect::<Vec<_>>()
-            };
             for unit in 0..copies * 6 {
-                let pose = poses(world.simulator().unit(unit).unwrap().internal_pose());
+                let pose = world.simulator().unit(unit).unwrap().internal_pose();
+                let numbers = pose.rotation.iter().chain(&pose.centre);
+                let pose: Vec<_> = numbers.map(|v| v.to_bits()).collect();
                 let wanted = &alone[unit % 6 * 15..][..12];
                 assert_eq!(pose, wanted, "{kernel:?} {threads} {unit}");
             }

@@ -21,6 +21,8 @@ use nalgebra::{Matrix3, Vector3};
 const ROUNDS: u8 = 4;
 /// Rounds that close what is open before a step, without velocity.
 const CLOSING: u8 = 12;
+/// Inertia that a ball joint's own turning has, in that of all that it turns: f32 lose thin links under heavy ends otherwise.
+const STIFF: f32 = 4e-6;
 /// Turns of a round, at most, rad.
 const MOST_TURN: f32 = 0.5;
 /// Rounds of closing after a substep: contact pushes units apart.
@@ -37,6 +39,10 @@ const HELD_PASSES: u8 = 3;
 const MOST_CLOSED: f32 = 0.05;
 /// Of what a joint is beyond a limit, comes back in a second.
 const BACK_HZ: f32 = 10.0;
+/// Of a step, what is all of it but for rounding.
+const WHOLE: f32 = 0.9999;
+/// How much faster than at the start of a step a joint goes to its target later in it.
+const HASTE: f32 = 1.5;
 /// Of the force of a joint, what may brake it towards its target: the rest carries the load.
 const BRAKE: f32 = 1.0;
 
@@ -188,7 +194,9 @@ impl<'r> Trees<'r> {
                     *row = gains.map(|gain| gain.dot(way));
                 }
                 let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = matrix;
-                let weights = inverse(&[xx, yy, zz, xy, xz, yz]);
+                // An axis of none stays one.
+                let more = if above.guide.way == Way::Ball { STIFF * (xx + yy + zz) } else { 0.0 };
+                let weights = inverse(&[xx + more, yy + more, zz + more, xy, xz, yz]);
                 self.limbs.set_gains(number, &gains, &weights);
                 if head.mode.is_locked() { whole } else { whole.without(&gains, &weights) }
             };
@@ -484,6 +492,12 @@ impl<'r> Trees<'r> {
                 let way = way / scale - head.position;
                 let way = if above.guide.way == Way::Turns { whole_turn(way) } else { way };
                 (head.mode, head.rate) = (Mode::Driven, way / left_s);
+                // What the ground keeps from it is no reason to hurry in the end.
+                if left_s > world.scene.dt * WHOLE {
+                    head.pace = HASTE * head.rate.abs();
+                } else if head.rate.abs() > head.pace {
+                    head.rate = if way < 0.0 { -head.pace } else { head.pace };
+                }
                 let force = world.force(above);
                 if force.is_finite() {
                     // No faster than it can brake.

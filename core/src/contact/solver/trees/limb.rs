@@ -6,7 +6,7 @@ use crate::structure::articulation::{INERTIA, Inertia, SIX, Six};
 use nalgebra::{Matrix3, Vector3};
 
 /// Numbers of a [`Head`], and the unit at a place of the order.
-const HEAD: usize = 9;
+const HEAD: usize = 10;
 const LEVERS: usize = 9;
 const GAINS: usize = 3 * SIX + SIX;
 const LOADS: usize = 3 * SIX;
@@ -71,6 +71,8 @@ pub(super) struct Head {
     pub(super) mode: Mode,
     /// Of its position, where it is locked: rad/s or m/s.
     pub(super) rate: f32,
+    /// The greatest rate in this step, of one that goes to a target.
+    pub(super) pace: f32,
     /// At the start of the substep, rad or m.
     pub(super) position: f32,
     /// Along its axis, in the substep so far: N m s or N s.
@@ -87,6 +89,7 @@ impl Head {
         parent: 0,
         mode: Mode::Passive,
         rate: 0.0,
+        pace: 0.0,
         position: 0.0,
         held: 0.0,
         push: 0.0,
@@ -129,7 +132,7 @@ impl<'r> Limbs<'r> {
     }
 
     pub(super) fn head(&self, number: usize) -> Head {
-        let Some([_, place, parent, mode, rate, position, held, push, touched]) =
+        let Some([_, place, parent, mode, rate, pace, position, held, push, touched]) =
             self.heads.get(number).copied()
         else {
             return Head::NONE;
@@ -149,7 +152,7 @@ impl<'r> Limbs<'r> {
             _ => Mode::Passive,
         };
         let (parent, is_touched) = (parent as usize, touched > 0.0);
-        Head { place, parent, mode, rate, position, held, push, is_touched }
+        Head { place, parent, mode, rate, pace, position, held, push, is_touched }
     }
 
     pub(super) fn set_head(&mut self, number: usize, head: &Head) {
@@ -169,8 +172,8 @@ impl<'r> Limbs<'r> {
             Mode::AtLeast => 4.0,
         };
         let touched = if head.is_touched { 1.0 } else { 0.0 };
-        let Head { parent, rate, position, held, push, .. } = *head;
-        *row = [place, parent as f32, mode, rate, position, held, push, touched];
+        let Head { parent, rate, pace, position, held, push, .. } = *head;
+        *row = [place, parent as f32, mode, rate, pace, position, held, push, touched];
     }
 
     /// From the parent's centre to the unit's, as its joint has them; from the unit's to its pivot; the axis.

@@ -35,7 +35,7 @@ pub enum RobotError {
         /// Its tag and name, such as `link "hand"`.
         element: String,
         /// What is wrong with it.
-        problem: Problem,
+        problem: Box<Problem>,
     },
     /// Joint positions of another number than the robot has.
     #[error(

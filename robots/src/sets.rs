@@ -74,7 +74,7 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
         path: path.into(),
         line: 0,
         element: "mesh".into(),
-        problem,
+        problem: Box::new(problem),
     };
     if paths.is_empty() {
         let what = "a folder without meshes";

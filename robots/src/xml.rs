@@ -49,7 +49,7 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Element, RobotError> {
         path: path.into(),
         line,
         element: "the file".into(),
-        problem: Problem::Xml(shown(&problem, SHOWN)),
+        problem: Box::new(Problem::Xml(shown(&problem, SHOWN))),
     };
     if bytes.len() > MOST_BYTES {
         return Err(fail(0, format!("it has more than {MOST_BYTES} bytes")));
@@ -154,7 +154,7 @@ impl Element {
             path: self.file.to_path_buf(),
             line: self.line,
             element: format!("{}{}", shown(&self.tag, SHOWN), name.unwrap_or_default()),
-            problem,
+            problem: Box::new(problem),
         }
     }
 

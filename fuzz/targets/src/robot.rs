@@ -36,15 +36,22 @@ fn follow(robot: &rigidformer_robots::Robot) {
     let rest = robot.rest();
     let poses = robot.poses(&rest).expect("poses at rest");
     assert_eq!(poses.len(), robot.links.len(), "a pose a link");
-    let numbers = poses.iter().flat_map(|pose| pose.translation.vector.iter().copied().collect::<Vec<f64>>());
+    let numbers =
+        poses.iter().flat_map(|pose| pose.translation.vector.iter().copied().collect::<Vec<f64>>());
     assert!(numbers.into_iter().all(f64::is_finite), "a place that is not finite");
     for link in &robot.links {
         assert!(link.surface.is_sound(), "a surface with a corner that is not there");
         let inertia = &link.inertia;
-        assert!(inertia.mass_kg >= 0.0 && inertia.about_centre.iter().all(|m| m.is_finite()), "{inertia:?}");
+        assert!(
+            inertia.mass_kg >= 0.0 && inertia.about_centre.iter().all(|m| m.is_finite()),
+            "{inertia:?}"
+        );
     }
     for joint in &robot.joints {
-        assert!(joint.parent < robot.links.len() && joint.child < robot.links.len(), "a joint to nowhere");
+        assert!(
+            joint.parent < robot.links.len() && joint.child < robot.links.len(),
+            "a joint to nowhere"
+        );
     }
     robot.describe().expect("a description");
     let mut options = SceneOptions::default();

@@ -851,9 +851,14 @@ fn what_flies_alone_is_left_out() {
                 (core::mem::take(&mut world.scratch), core::mem::take(&mut world.prior));
             let scene = world.scene(1);
             let own_world = bodies::World::new(&scene, 0, substeps(scene.dt));
-            let (mut bodies, mut contacts) = carve(&mut scratch, &mut prior, own_world.units);
-            let right =
-                in_substeps(Serial(Portable), &own_world, (&mut bodies, &mut contacts), true);
+            let (mut bodies, mut contacts, mut trees) =
+                carve(&mut scratch, &mut prior, own_world.units);
+            let right = in_substeps(
+                Serial(Portable),
+                &own_world,
+                (&mut bodies, &mut contacts, &mut trees),
+                true,
+            );
             wrong += usize::from(!right);
             left_out += (0..count).filter(|unit| bodies.is_left_out(*unit)).count();
             (world.scratch, world.prior) = (scratch, prior);

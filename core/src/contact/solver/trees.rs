@@ -213,7 +213,7 @@ impl<'r> Trees<'r> {
     }
 
     /// Finds the changes of motion, of all units in trees, by impulses along the joints that make up what is `missing` there: of a
-    /// unit's motion beside its parent's, at its pivot. `torques` act besides.
+    /// unit's motion beside its parent's, at its pivot. What joints push with acts besides, once.
     fn solve(&mut self, world: &World<'_>, missing: impl Fn(&Self, usize, &Above) -> Six) {
         for place in 0..self.count {
             self.limbs.set_load(self.limbs.listed(place), &Six::ZERO);
@@ -225,7 +225,8 @@ impl<'r> Trees<'r> {
             let wanted = missing(self, number, above);
             if head.place == Place::HeldBelow {
                 self.limbs.set_wanted(number, &wanted);
-                let up = self.limbs.inertia(number).times(&wanted).times(-1.0);
+                let axis = self.along(number, above.guide.way).times(head.push.into());
+                let up = self.limbs.inertia(number).times(&wanted).plus(&axis).times(-1.0);
                 let sum = self.limbs.load(head.parent).plus(&up.from(&(lever + arm)));
                 self.limbs.set_load(head.parent, &sum);
                 continue;
@@ -250,16 +251,13 @@ impl<'r> Trees<'r> {
             let change = match (head.place, Self::joint(unit)) {
                 (Place::Root, _) => self.limbs.inertia(number).solve(&load),
                 (Place::HeldBelow, Some(above)) => {
-                    let levers = self.limbs.levers(number);
-                    let [lever, arm, axis] = levers.map(|lever| lever.cast::<f64>());
-                    let moved = self.limbs.change(head.parent).at(&(lever + arm));
+                    let [lever, arm, _] = self.limbs.levers(number);
+                    let moved = self.limbs.change(head.parent).at(&(lever + arm).cast());
                     let lacks = moved.plus(&self.limbs.wanted(number));
                     let impulse = self.limbs.inertia(number).times(&lacks);
-                    let along = match above.guide.way {
-                        Way::Slides => Six { way: axis, turn: Vector3::zeros() },
-                        _ => Six { way: Vector3::zeros(), turn: axis },
-                    };
-                    head.held += impulse.dot(&along) as f32;
+                    if head.mode.is_locked() {
+                        head.held += impulse.dot(&self.along(number, above.guide.way)) as f32;
+                    }
                     head.push = 0.0;
                     self.limbs.set_head(number, &head);
                     Six::ZERO
@@ -295,6 +293,15 @@ impl<'r> Trees<'r> {
                 _ => Six::ZERO,
             };
             self.limbs.set_change(number, &change);
+        }
+    }
+
+    /// What a joint's position grows along, at its pivot.
+    fn along(&self, number: usize, way: Way) -> Six {
+        let [_, _, axis] = self.limbs.levers(number);
+        match way {
+            Way::Slides => Six { way: axis.cast(), turn: Vector3::zeros() },
+            _ => Six { way: Vector3::zeros(), turn: axis.cast() },
         }
     }
 
@@ -456,6 +463,15 @@ impl<'r> Trees<'r> {
 
     /// Begins the substep of impulses: which joints follow a target, and which are at a limit. `left_s` is what is left of the step.
     pub(super) fn choose(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>, left_s: f32) {
+        if self.count == 0 {
+            return;
+        }
+        // What cannot be closed, as between two that are held, is nothing to speed up for.
+        self.note_gaps(world, bodies, None);
+        for place in 0..self.count {
+            let number = self.limbs.listed(place);
+            self.limbs.set_open(number, &self.limbs.change(number));
+        }
         let mut changes = false;
         for place in 0..self.count {
             let Some((number, unit, before)) = self.member(world.units, place) else { continue };
@@ -597,12 +613,6 @@ impl<'r> Trees<'r> {
                     bodies.moves(number, &mover);
                 }
             }
-        }
-        // What cannot be closed, as between two that are held, is nothing to speed up for.
-        self.note_gaps(world, bodies, None);
-        for place in 0..self.count {
-            let number = self.limbs.listed(place);
-            self.limbs.set_open(number, &self.limbs.change(number));
         }
         for round in 0..=ROUNDS {
             self.drift(world, bodies, false);

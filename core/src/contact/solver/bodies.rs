@@ -10,8 +10,6 @@ use crate::geometry::{
 };
 use crate::math;
 use crate::scene::{Compliance, Role, Scene, UnitSlot, members};
-#[cfg(feature = "robot")]
-use crate::structure::articulation::Six;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 /// Slower approaches do not bounce, in sqrt(gravity x radius); the network corrects motion this fast in full. Else what
@@ -1257,9 +1255,9 @@ impl<'r> Bodies<'r> {
 
     /// A unit's rotation, and its way and turn since the step began.
     #[cfg(feature = "robot")]
-    pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, Six) {
-        let [way, turn] = self.moved(number);
-        (self.pose(number).rotation, Six { way, turn })
+    pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, [f32; 6]) {
+        let [v, w] = self.moved(number);
+        (self.pose(number).rotation, [v.x, v.y, v.z, w.x, w.y, w.z])
     }
 
     /// Puts a unit where a way and a turn since the step began take it.
@@ -1268,12 +1266,13 @@ impl<'r> Bodies<'r> {
         &mut self,
         number: usize,
         unit: &UnitSlot,
-        (rotation, moved): (&Matrix3<f32>, &Six),
+        (rotation, moved): (&Matrix3<f32>, &[f32; 6]),
     ) {
         if let Some(row) = self.moved_row_mut(number) {
-            *row = moved.row();
+            *row = *moved;
         }
-        let way = moved.way + unit.course.centre_low;
+        let [x, y, z, ..] = *moved;
+        let way = Vector3::new(x, y, z) + unit.course.centre_low;
         self.set_pose(number, &Pose { rotation: *rotation, centre: unit.current.centre + way });
     }
 

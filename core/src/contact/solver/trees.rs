@@ -21,20 +21,16 @@ use nalgebra::{Matrix3, Vector3};
 const ROUNDS: u8 = 4;
 /// Rounds that close what is open before a step, without velocity.
 const CLOSING: u8 = 12;
-/// Inertia that a ball joint's own turning has, in that of all that it turns: f32 lose thin links under heavy ends otherwise.
-const STIFF: f32 = 4e-6;
 /// Turns of a round, at most, rad.
-const MOST_TURN: f32 = 0.5;
+const MOST_TURN: f64 = 0.5;
 /// Rounds of closing after a substep: contact pushes units apart.
 const CLOSING_LATER: u8 = 2;
 /// Rounds in which joints reach limits, leave them, or give in.
 const CHOICES: u8 = 4;
 /// Gaps up to this are rounding, in levers; angles in radians.
 const ROUNDING: f32 = 4e-7;
-/// Of what hangs together the mass of a unit that nothing moves, where it hangs itself. More would leave thin links no digits.
-const HEAVY: f32 = 30.0;
-/// Passes that make velocities hold then: each leaves a thirtieth.
-const HELD_PASSES: u8 = 3;
+/// Of what hangs together the mass of a unit that nothing moves, where it hangs itself: impulses of others hardly move it.
+const HEAVY: f32 = 1e4;
 /// A gap closes in a substep by at most this, in levers and radians: no joint that cannot hold throws what it holds.
 const MOST_CLOSED: f32 = 0.05;
 /// Of what a joint is beyond a limit, comes back in a second.
@@ -43,8 +39,6 @@ const BACK_HZ: f32 = 10.0;
 const WHOLE: f32 = 0.9999;
 /// How much faster than at the start of a step a joint goes to its target later in it.
 const HASTE: f32 = 1.5;
-/// Of the force of a joint, what may brake it towards its target: the rest carries the load.
-const BRAKE: f32 = 1.0;
 
 /// The trees of a copy.
 pub(super) struct Trees<'r> {
@@ -53,14 +47,12 @@ pub(super) struct Trees<'r> {
     count: usize,
     /// kg of all that is free in them, by [`HEAVY`].
     heavy: f32,
-    /// That make velocities hold.
-    passes: u8,
 }
 
 impl<'r> Trees<'r> {
     /// In a slab of [`LIMB`] numbers a unit, none in use yet.
     pub(super) fn new(slab: &'r mut [f32], units: usize) -> Self {
-        Trees { limbs: Limbs::new(slab, units), count: 0, heavy: 0.0, passes: 1 }
+        Trees { limbs: Limbs::new(slab, units), count: 0, heavy: 0.0 }
     }
 
     /// Whether a unit moves by these rules.
@@ -90,16 +82,13 @@ impl<'r> Trees<'r> {
             let id = unit.link.above?.parent;
             units.binary_search_by_key(&id, |unit| unit.id.to_bits()).ok()
         };
-        (self.heavy, self.passes) = (0.0, 1);
+        self.heavy = 0.0;
         for number in 0..units.len() {
             self.limbs.set_head(number, &Head::NONE);
         }
         for (number, unit) in units.iter().enumerate() {
             let Some(parent) = parent(unit) else { continue };
             let place = if unit.is_free() { Place::Hangs } else { Place::HeldBelow };
-            if place == Place::HeldBelow && units.get(parent).is_some_and(UnitSlot::is_free) {
-                self.passes = HELD_PASSES;
-            }
             self.limbs.set_head(number, &Head { place, parent, ..self.limbs.head(number) });
         }
         // What others hang from and that hangs from none.
@@ -156,8 +145,9 @@ impl<'r> Trees<'r> {
         for place in 0..self.count {
             let Some((number, unit, head)) = self.member(world.units, place) else { continue };
             let pose = bodies.pose(number);
-            let moments = unit.inertia_m2 * unit.mass;
-            let inertia = Inertia::of(unit.mass, &moments, &pose.rotation);
+            let mass = f64::from(unit.mass);
+            let moments = unit.inertia_m2.cast::<f64>() * mass;
+            let inertia = Inertia::of(mass, &moments, &pose.rotation.cast());
             self.limbs.set_inertia(number, &inertia);
             if let Some(above) = Self::joint(unit).filter(|_| head.place.hangs()) {
                 let Some(parent) = world.units.get(head.parent) else { continue };
@@ -186,7 +176,8 @@ impl<'r> Trees<'r> {
                 // At its pivot it resists what its joint does not leave open, as if it were held by much.
                 lever += arm;
                 let open = (!head.mode.is_locked()).then_some(axis);
-                Inertia::held(above.guide.way, open, (self.heavy, unit.radius))
+                let open = open.map(|axis| axis.cast());
+                Inertia::held(above.guide.way, open, (self.heavy.into(), unit.radius.into()))
             } else {
                 let gains = ways.map(|way| whole.times(&way));
                 let mut matrix = [[0.0; 3]; 3];
@@ -194,9 +185,7 @@ impl<'r> Trees<'r> {
                     *row = gains.map(|gain| gain.dot(way));
                 }
                 let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = matrix;
-                // An axis of none stays one.
-                let more = if above.guide.way == Way::Ball { STIFF * (xx + yy + zz) } else { 0.0 };
-                let weights = inverse(&[xx + more, yy + more, zz + more, xy, xz, yz]);
+                let weights = inverse(&[xx, yy, zz, xy, xz, yz]);
                 self.limbs.set_gains(number, &gains, &weights);
                 if head.mode.is_locked() { whole } else { whole.without(&gains, &weights) }
             };
@@ -204,7 +193,8 @@ impl<'r> Trees<'r> {
             // What nothing moves feels nothing.
             let parent = self.limbs.head(head.parent).place;
             if matches!(parent, Place::Root | Place::Hangs) {
-                let sum = self.limbs.inertia(head.parent).plus(&left.from(&lever));
+                let felt = left.from(&lever.cast());
+                let sum = self.limbs.inertia(head.parent).plus(&felt);
                 self.limbs.set_inertia(head.parent, &sum);
             }
         }
@@ -212,8 +202,8 @@ impl<'r> Trees<'r> {
 
     /// Motions of a unit's centre, with its parent held, that its joint leaves open.
     fn ways(&self, number: usize, way: Way) -> [Six; 3] {
-        let [_, arm, axis] = self.limbs.levers(number);
-        let about = |axis: Vector3<f32>| Six { way: arm.cross(&axis), turn: axis };
+        let [_, arm, axis] = self.limbs.levers(number).map(|lever| lever.cast::<f64>());
+        let about = |axis: Vector3<f64>| Six { way: arm.cross(&axis), turn: axis };
         match way {
             Way::Ball => [Vector3::x(), Vector3::y(), Vector3::z()].map(about),
             Way::Turns => [about(axis), Six::ZERO, Six::ZERO],
@@ -223,7 +213,7 @@ impl<'r> Trees<'r> {
     }
 
     /// Finds the changes of motion, of all units in trees, by impulses along the joints that make up what is `missing` there: of a
-    /// unit's motion beside its parent's, at its pivot. `torques` act besides.
+    /// unit's motion beside its parent's, at its pivot. What joints push with acts besides, once.
     fn solve(&mut self, world: &World<'_>, missing: impl Fn(&Self, usize, &Above) -> Six) {
         for place in 0..self.count {
             self.limbs.set_load(self.limbs.listed(place), &Six::ZERO);
@@ -231,11 +221,12 @@ impl<'r> Trees<'r> {
         for place in (0..self.count).rev() {
             let Some((number, unit, head)) = self.member(world.units, place) else { continue };
             let Some(above) = Self::joint(unit).filter(|_| head.place.hangs()) else { continue };
-            let [lever, arm, _] = self.limbs.levers(number);
+            let [lever, arm, _] = self.limbs.levers(number).map(|lever| lever.cast::<f64>());
             let wanted = missing(self, number, above);
             if head.place == Place::HeldBelow {
                 self.limbs.set_wanted(number, &wanted);
-                let up = self.limbs.inertia(number).times(&wanted).times(-1.0);
+                let axis = self.along(number, above.guide.way).times(head.push.into());
+                let up = self.limbs.inertia(number).times(&wanted).plus(&axis).times(-1.0);
                 let sum = self.limbs.load(head.parent).plus(&up.from(&(lever + arm)));
                 self.limbs.set_load(head.parent, &sum);
                 continue;
@@ -260,34 +251,33 @@ impl<'r> Trees<'r> {
             let change = match (head.place, Self::joint(unit)) {
                 (Place::Root, _) => self.limbs.inertia(number).solve(&load),
                 (Place::HeldBelow, Some(above)) => {
-                    let [lever, arm, axis] = self.limbs.levers(number);
-                    let moved = self.limbs.change(head.parent).at(&(lever + arm));
+                    let [lever, arm, _] = self.limbs.levers(number);
+                    let moved = self.limbs.change(head.parent).at(&(lever + arm).cast());
                     let lacks = moved.plus(&self.limbs.wanted(number));
                     let impulse = self.limbs.inertia(number).times(&lacks);
-                    head.held += match above.guide.way {
-                        Way::Slides => dot(&axis, &impulse.way),
-                        _ => dot(&axis, &impulse.turn),
-                    };
+                    if head.mode.is_locked() {
+                        head.held += impulse.dot(&self.along(number, above.guide.way)) as f32;
+                    }
                     head.push = 0.0;
                     self.limbs.set_head(number, &head);
                     Six::ZERO
                 }
                 (Place::Hangs, Some(above)) => {
                     let [lever, ..] = self.limbs.levers(number);
-                    let from = self.limbs.change(head.parent).at(&lever);
+                    let from = self.limbs.change(head.parent).at(&lever.cast());
                     let moved = from.plus(&self.limbs.wanted(number));
                     let mut change = moved;
                     if head.mode.is_locked() {
                         // What holds it along its axis.
                         let [way, ..] = self.ways(number, above.guide.way);
                         let impulse = self.limbs.inertia(number).times(&change).minus(&load);
-                        head.held += impulse.dot(&way);
+                        head.held += impulse.dot(&way) as f32;
                     } else {
                         let (gains, weights) = self.limbs.gains(number);
                         let loads = self.loads(number, (above.guide.way, &head), &load);
                         let free = gains.map(|gain| gain.dot(&moved));
                         let [x, y, z] = [0, 1, 2].map(|row| {
-                            let get = |all: &[f32; 3]| all.get(row).copied().unwrap_or_default();
+                            let get = |all: &[f64; 3]| all.get(row).copied().unwrap_or_default();
                             get(&loads) - get(&free)
                         });
                         let shares = weigh_three(&weights, [x, y, z]);
@@ -306,29 +296,32 @@ impl<'r> Trees<'r> {
         }
     }
 
+    /// What a joint's position grows along, at its pivot.
+    fn along(&self, number: usize, way: Way) -> Six {
+        let [_, _, axis] = self.limbs.levers(number);
+        match way {
+            Way::Slides => Six { way: axis.cast(), turn: Vector3::zeros() },
+            _ => Six { way: Vector3::zeros(), turn: axis.cast() },
+        }
+    }
+
     /// Impulses along the open ways of a unit's joint.
-    fn loads(&self, number: usize, (way, head): (Way, &Head), load: &Six) -> [f32; 3] {
+    fn loads(&self, number: usize, (way, head): (Way, &Head), load: &Six) -> [f64; 3] {
         let ways = self.ways(number, way);
         let mut loads = ways.map(|way| way.dot(load));
         let [first, ..] = &mut loads;
-        *first += head.push;
+        *first += f64::from(head.push);
         loads
     }
 
     /// How much of each open way those make, and their impulses.
-    fn shares(&self, number: usize, joint: (Way, &Head), load: &Six) -> ([Six; 3], [f32; 3]) {
+    fn shares(&self, number: usize, joint: (Way, &Head), load: &Six) -> ([Six; 3], [f64; 3]) {
         let (gains, weights) = self.limbs.gains(number);
         (gains, weigh_three(&weights, self.loads(number, joint, load)))
     }
 
     /// Changes velocities so that joints hold, by impulses along them.
     fn hold(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>) {
-        for _ in 0..self.passes {
-            self.hold_once(world, bodies);
-        }
-    }
-
-    fn hold_once(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>) {
         let still = &*bodies;
         self.solve(world, |trees, number, above| trees.missing_velocity(still, number, above));
         for place in 0..self.count {
@@ -336,8 +329,8 @@ impl<'r> Trees<'r> {
             if matches!(head.place, Place::Root | Place::Hangs) {
                 let change = self.limbs.change(number);
                 let mut mover = bodies.mover(number);
-                mover.velocity += change.way;
-                mover.spin += change.turn;
+                mover.velocity += change.way.cast::<f32>();
+                mover.spin += change.turn.cast::<f32>();
                 bodies.moves(number, &mover);
             }
         }
@@ -348,22 +341,20 @@ impl<'r> Trees<'r> {
         let head = self.limbs.head(number);
         let [lever, arm, axis] = self.limbs.levers(number);
         let (own, parent) = (bodies.mover(number), bodies.mover(head.parent));
-        let mut missing = Six {
-            way: parent.speed_at(&(lever + arm)) - own.speed_at(&arm),
-            turn: parent.spin - own.spin,
-        };
+        let mut way = parent.speed_at(&(lever + arm)) - own.speed_at(&arm);
+        let mut turn = parent.spin - own.spin;
         let rate = if head.mode.is_locked() { Some(head.rate) } else { None };
         let along = |v: &Vector3<f32>| match rate {
             Some(rate) => v + axis * rate,
             None => v - axis * dot(&axis, v),
         };
         match above.guide.way {
-            Way::Ball => missing.turn = Vector3::zeros(),
-            Way::Turns => missing.turn = along(&missing.turn),
-            Way::Slides => missing.way = along(&missing.way),
+            Way::Ball => turn = Vector3::zeros(),
+            Way::Turns => turn = along(&turn),
+            Way::Slides => way = along(&way),
             Way::Fixed => {}
         }
-        missing
+        Six { way: way.cast(), turn: turn.cast() }
     }
 
     /// How fast the position of a joint grows.
@@ -402,14 +393,15 @@ impl<'r> Trees<'r> {
             self.solve(world, |trees, number, _| trees.limbs.change(number));
             let turns =
                 (0..self.count).map(|place| self.limbs.change(self.limbs.listed(place)).turn);
-            let turn = turns.fold(0.0_f32, |most, turn| most.max(turn.amax()));
+            let turn = turns.fold(0.0_f64, |most, turn| most.max(turn.amax()));
             // Ways are straight, and a stretched chain that is too short would whirl.
             let share = if turn > MOST_TURN { MOST_TURN / turn } else { 1.0 };
             for place in 0..self.count {
                 let Some((number, unit, head)) = self.member(world.units, place) else { continue };
                 if matches!(head.place, Place::Root | Place::Hangs) {
                     let change = self.limbs.change(number).times(share);
-                    bodies.advance_by(number, unit, [change.way, change.turn]);
+                    let moves = [change.way, change.turn].map(|v| v.cast::<f32>());
+                    bodies.advance_by(number, unit, moves);
                     bodies.square(number);
                 }
             }
@@ -435,7 +427,7 @@ impl<'r> Trees<'r> {
             let reach = (norm(&lever) + norm(&arm)) + unit.radius;
             if time_s.is_some() {
                 let open = self.limbs.open(number);
-                (gap, tilt) = (gap - open.way, tilt - open.turn);
+                (gap, tilt) = (gap - open.way.cast::<f32>(), tilt - open.turn.cast::<f32>());
             }
             if let Some(time_s) = time_s.filter(|_| head.mode.is_locked()) {
                 let lacks = (head.position + head.rate * time_s) - position;
@@ -464,13 +456,22 @@ impl<'r> Trees<'r> {
                     Way::Fixed => {}
                 }
             }
-            self.limbs.set_change(number, &Six { way: gap, turn: tilt });
+            self.limbs.set_change(number, &Six { way: gap.cast(), turn: tilt.cast() });
         }
         is_open
     }
 
     /// Begins the substep of impulses: which joints follow a target, and which are at a limit. `left_s` is what is left of the step.
     pub(super) fn choose(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>, left_s: f32) {
+        if self.count == 0 {
+            return;
+        }
+        // What cannot be closed, as between two that are held, is nothing to speed up for.
+        self.note_gaps(world, bodies, None);
+        for place in 0..self.count {
+            let number = self.limbs.listed(place);
+            self.limbs.set_open(number, &self.limbs.change(number));
+        }
         let mut changes = false;
         for place in 0..self.count {
             let Some((number, unit, before)) = self.member(world.units, place) else { continue };
@@ -502,7 +503,7 @@ impl<'r> Trees<'r> {
                 if force.is_finite() {
                     // No faster than it can brake.
                     let (_, [weight, ..]) = self.limbs.gains(number);
-                    let fastest = math::sqrt(BRAKE * force * weight * way.abs());
+                    let fastest = math::sqrt(force * weight as f32 * way.abs());
                     if head.rate.abs() > fastest {
                         head.rate = if way < 0.0 { -fastest } else { fastest };
                     }
@@ -613,12 +614,6 @@ impl<'r> Trees<'r> {
                 }
             }
         }
-        // What cannot be closed, as between two that are held, is nothing to speed up for.
-        self.note_gaps(world, bodies, None);
-        for place in 0..self.count {
-            let number = self.limbs.listed(place);
-            self.limbs.set_open(number, &self.limbs.change(number));
-        }
         for round in 0..=ROUNDS {
             self.drift(world, bodies, false);
             if round == ROUNDS || !self.note_gaps(world, bodies, Some(world.substep_s)) {
@@ -630,8 +625,8 @@ impl<'r> Trees<'r> {
                 if matches!(head.place, Place::Root | Place::Hangs) {
                     let change = self.limbs.change(number);
                     let mut mover = bodies.mover(number);
-                    mover.velocity += change.way;
-                    mover.spin += change.turn;
+                    mover.velocity += change.way.cast::<f32>();
+                    mover.spin += change.turn.cast::<f32>();
                     bodies.moves(number, &mover);
                 }
             }
@@ -675,8 +670,8 @@ impl<'r> Trees<'r> {
             }
             let (rotation, mut moved) = self.limbs.start(number);
             let mut mover = bodies.mover(number);
-            moved.way += mover.velocity * time;
-            moved.turn += mover.spin * time;
+            let more = mover.velocity.iter().chain(&mover.spin).map(|v| v * time);
+            moved.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
             let (rotation, spin) = spun(&rotation, &mover.spin, (&unit.inertia_m2, time));
             bodies.put(number, unit, (&rotation, &moved));
             if end {
@@ -738,6 +733,6 @@ fn spun(
 }
 
 /// A symmetric matrix (xx, yy, zz, xy, xz, yz) times three numbers.
-fn weigh_three([xx, yy, zz, xy, xz, yz]: &[f32; 6], [x, y, z]: [f32; 3]) -> [f32; 3] {
+fn weigh_three([xx, yy, zz, xy, xz, yz]: &[f64; 6], [x, y, z]: [f64; 3]) -> [f64; 3] {
     [(xx * x + xy * y) + xz * z, (xy * x + yy * y) + yz * z, (xz * x + yz * y) + zz * z]
 }

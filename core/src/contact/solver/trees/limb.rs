@@ -11,8 +11,22 @@ const LEVERS: usize = 9;
 const GAINS: usize = 3 * SIX + SIX;
 const LOADS: usize = 3 * SIX;
 const START: usize = 9 + SIX + SIX;
-/// Numbers of a unit.
-pub(in super::super) const LIMB: usize = HEAD + LEVERS + INERTIA + GAINS + LOADS + START;
+/// Numbers of a unit; of those that are f64 each takes two.
+pub(in super::super) const LIMB: usize = HEAD + LEVERS + 2 * (INERTIA + GAINS + LOADS) + START;
+
+/// A number of 48 bits: what the first f32 leaves out is in the second.
+type Long = [f32; 2];
+
+/// As two f32.
+fn split(number: f64) -> Long {
+    let high = number as f32;
+    [high, (number - f64::from(high)) as f32]
+}
+
+/// From two f32.
+fn whole([high, low]: Long) -> f64 {
+    f64::from(high) + f64::from(low)
+}
 
 /// Where a unit is in its tree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -101,9 +115,9 @@ impl Head {
 pub(super) struct Limbs<'r> {
     heads: &'r mut [[f32; HEAD]],
     levers: &'r mut [[f32; LEVERS]],
-    inertias: &'r mut [[f32; INERTIA]],
-    gains: &'r mut [[f32; GAINS]],
-    loads: &'r mut [[f32; LOADS]],
+    inertias: &'r mut [[f32; 2 * INERTIA]],
+    gains: &'r mut [[f32; 2 * GAINS]],
+    loads: &'r mut [[f32; 2 * LOADS]],
     starts: &'r mut [[f32; START]],
 }
 
@@ -192,41 +206,44 @@ impl<'r> Limbs<'r> {
 
     /// Of a unit with what hangs from it, as its parent feels it; of a free root inverted.
     pub(super) fn inertia(&self, number: usize) -> Inertia {
-        Inertia::read(self.inertias.get(number).unwrap_or(&[0.0; INERTIA]))
+        let row = self.inertias.get(number).and_then(|row| row.as_chunks().0.first_chunk());
+        Inertia::read(&row.map_or([0.0; INERTIA], |row| row.map(whole)))
     }
 
     pub(super) fn set_inertia(&mut self, number: usize, inertia: &Inertia) {
         if let Some(row) = self.inertias.get_mut(number) {
-            *row = inertia.row();
+            row.as_chunks_mut().0.iter_mut().zip(inertia.row()).for_each(|(to, v)| *to = split(v));
         }
     }
 
     /// Impulses of motions along the open ways, and the ways for impulses along them.
-    pub(super) fn gains(&self, number: usize) -> ([Six; 3], [f32; SIX]) {
-        let row = self.gains.get(number).unwrap_or(&[0.0; GAINS]);
-        let (rows, _) = row.as_chunks::<SIX>();
-        let [x, y, z, weights] = rows.first_chunk().copied().unwrap_or_default();
+    pub(super) fn gains(&self, number: usize) -> ([Six; 3], [f64; SIX]) {
+        let row = self.gains.get(number).and_then(|row| row.as_chunks().0.first_chunk());
+        let row: [f64; GAINS] = row.map_or([0.0; GAINS], |row| row.map(whole));
+        let [x, y, z, weights] = row.as_chunks().0.first_chunk().copied().unwrap_or_default();
         ([x, y, z].map(|row| Six::read(&row)), weights)
     }
 
-    pub(super) fn set_gains(&mut self, number: usize, gains: &[Six; 3], weights: &[f32; SIX]) {
+    pub(super) fn set_gains(&mut self, number: usize, gains: &[Six; 3], weights: &[f64; SIX]) {
         if let Some(row) = self.gains.get_mut(number) {
             let [x, y, z] = gains.map(|gain| gain.row());
-            row.iter_mut()
-                .zip([x, y, z, *weights].as_flattened())
-                .for_each(|(to, from)| *to = *from);
+            let numbers = [x, y, z, *weights];
+            let places = row.as_chunks_mut().0.iter_mut();
+            places.zip(numbers.as_flattened()).for_each(|(to, v)| *to = split(*v));
         }
     }
 
     fn six(&self, number: usize, which: usize) -> Six {
-        let rows = self.loads.get(number).map(|row| row.as_chunks::<SIX>().0);
-        rows.and_then(|rows| rows.get(which)).map_or(Six::ZERO, Six::read)
+        let rows = self.loads.get(number).map(|row| row.as_chunks::<2>().0.as_chunks::<SIX>().0);
+        let row = rows.and_then(|rows| rows.get(which));
+        row.map_or(Six::ZERO, |row| Six::read(&row.map(whole)))
     }
 
     fn set_six(&mut self, number: usize, which: usize, six: &Six) {
-        let rows = self.loads.get_mut(number).map(|row| row.as_chunks_mut::<SIX>().0);
+        let row = self.loads.get_mut(number);
+        let rows = row.map(|row| row.as_chunks_mut::<2>().0.as_chunks_mut::<SIX>().0);
         if let Some(row) = rows.and_then(|rows| rows.get_mut(which)) {
-            *row = six.row();
+            *row = six.row().map(split);
         }
     }
 
@@ -258,19 +275,23 @@ impl<'r> Limbs<'r> {
     }
 
     /// The rotation at the start of the substep, and the way and turn since the step began.
-    pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, Six) {
+    pub(super) fn start(&self, number: usize) -> (Matrix3<f32>, [f32; SIX]) {
         let Some([a, b, c, d, e, f, g, h, i, p, q, r, s, t, u, ..]) = self.starts.get(number)
         else {
-            return (Matrix3::identity(), Six::ZERO);
+            return (Matrix3::identity(), [0.0; SIX]);
         };
         let pose = read_pose(&[*a, *b, *c, *d, *e, *f, *g, *h, *i, 0.0, 0.0, 0.0]);
-        (pose.rotation, Six::read(&[*p, *q, *r, *s, *t, *u]))
+        (pose.rotation, [*p, *q, *r, *s, *t, *u])
     }
 
-    pub(super) fn set_start(&mut self, number: usize, (rotation, moved): &(Matrix3<f32>, Six)) {
+    pub(super) fn set_start(
+        &mut self,
+        number: usize,
+        (rotation, moved): &(Matrix3<f32>, [f32; SIX]),
+    ) {
         let Some(row) = self.starts.get_mut(number) else { return };
         let [x, y, z] = columns(rotation);
-        let [p, q, r, s, t, u] = moved.row();
+        let [p, q, r, s, t, u] = *moved;
         let start = [x.x, x.y, x.z, y.x, y.y, y.z, z.x, z.y, z.z, p, q, r, s, t, u];
         row.iter_mut().zip(start).for_each(|(to, from)| *to = from);
     }
@@ -278,12 +299,12 @@ impl<'r> Limbs<'r> {
     /// What a joint lacked at the start of the substep, and will go on to lack.
     pub(super) fn open(&self, number: usize) -> Six {
         let row = self.starts.get(number).and_then(|row| row.last_chunk());
-        row.map_or(Six::ZERO, Six::read)
+        row.map_or(Six::ZERO, |row| Six::read(&row.map(f64::from)))
     }
 
     pub(super) fn set_open(&mut self, number: usize, open: &Six) {
         if let Some(row) = self.starts.get_mut(number).and_then(|row| row.last_chunk_mut()) {
-            *row = open.row();
+            *row = open.row().map(|v| v as f32);
         }
     }
 }

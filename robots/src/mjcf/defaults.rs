@@ -11,8 +11,31 @@ pub(super) const MAIN: &str = "main";
 const TAGS: [&str; 3] = ["geom", "joint", "mesh"];
 /// Attributes that are read of those: each class keeps what it inherits, and a file may make up any number of others.
 const READ: [&str; 25] = [
-    "axis", "axisangle", "conaffinity", "contype", "density", "euler", "friction", "fromto", "group", "inertia", "limited", "mass",
-    "mesh", "pos", "quat", "range", "ref", "refpos", "refquat", "scale", "shellinertia", "size", "type", "xyaxes", "zaxis",
+    "axis",
+    "axisangle",
+    "conaffinity",
+    "contype",
+    "density",
+    "euler",
+    "friction",
+    "fromto",
+    "group",
+    "inertia",
+    "limited",
+    "mass",
+    "mesh",
+    "pos",
+    "quat",
+    "range",
+    "ref",
+    "refpos",
+    "refquat",
+    "scale",
+    "shellinertia",
+    "size",
+    "type",
+    "xyaxes",
+    "zaxis",
 ];
 /// Classes of a file, at most: each keeps what it inherits.
 const MOST_CLASSES: usize = 2000;

@@ -79,8 +79,11 @@ fn masses_below_0_and_numbers_beyond_counting_are_refused() {
     assert!(refused(&tiny.replacen("boundmass='1' ", "", 1)).contains("settotalmass"));
     let link = |n: usize| format!("<link name='l{n}'/>");
     let joint = |n: usize| {
-        let mimic =
-            if n > 1 { format!("<mimic joint='j{}' multiplier='1e20'/>", n - 1) } else { String::new() };
+        let mimic = if n > 1 {
+            format!("<mimic joint='j{}' multiplier='1e20'/>", n - 1)
+        } else {
+            String::new()
+        };
         format!(
             "<joint name='j{n}' type='continuous'><parent link='l{}'/><child link='l{n}'/>{mimic}</joint>",
             n - 1
@@ -158,7 +161,8 @@ fn limits_count_where_they_rise() {
 #[test]
 fn planes_that_touch_nothing_and_joints_between_scenery_are_none() {
     let plane = "<geom type='plane' size='1 1 1' pos='0 0 5'";
-    let robot = world(&format!("{plane} contype='0' conaffinity='0'/>{}", format!("{plane}/>").repeat(9)));
+    let robot =
+        world(&format!("{plane} contype='0' conaffinity='0'/>{}", format!("{plane}/>").repeat(9)));
     assert_eq!(robot.planes.len(), 9);
     assert!(robot.notes[0].contains("touches nothing"));
     let text = "<mujoco><worldbody><geom type='box' size='1 1 .1'/><body name='post' pos='0 0 1'><geom size='.1'/></body>\
@@ -189,7 +193,7 @@ fn files_are_read_below_a_robots_folders_alone() {
         )
     };
     let outside = robot(mesh.to_str().unwrap());
-    for name in ["r.urdf", "none/r.urdf", "/none.urdf", "/none/of/these.urdf"] {
+    for name in ["a/b/c/d/e/r.urdf", "/none.urdf", "/none/of/these.urdf"] {
         let read = parse_robot(name.as_ref(), outside.as_bytes(), &LoadOptions::default());
         let error = read.unwrap_err().to_string();
         assert!(error.contains("outside of the robot's folders"), "{name}: {error}");

@@ -69,7 +69,11 @@ fn what_is_read_is_not_written_over() {
     let files = files(folder.path());
     for file in &files {
         let before = fs::read(file).unwrap();
-        fails(&["import-robot", path(&files[0]), "--out", path(file)], 2, "what this command reads");
+        fails(
+            &["import-robot", path(&files[0]), "--out", path(file)],
+            2,
+            "what this command reads",
+        );
         assert_eq!(fs::read(file).unwrap(), before);
     }
     let command = ["import-robot", path(folder.path()), "--out", path(&files[2])];

@@ -9,6 +9,9 @@ const ROUNDING: f64 = 1e-3;
 /// Moments below zero by this share of the greatest are zero, rounded.
 const BELOW: f64 = 1e-6;
 
+/// Of a mass below 0.
+pub(crate) const BELOW_0: Problem = Problem::Inertia("its mass is below 0; give its mass in kg");
+
 /// Mass properties of a body in some frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inertia {
@@ -64,7 +67,7 @@ impl Inertia {
     /// What no body has of mass and moments.
     pub(crate) fn problem(&self) -> Option<Problem> {
         if !(self.mass_kg >= 0.0 && self.mass_kg.is_finite()) {
-            return Some(Problem::Inertia("its mass is below 0; give its mass in kg"));
+            return Some(BELOW_0);
         }
         if !self.about_centre.iter().all(|moment| moment.is_finite()) {
             return Some(Problem::Inertia("its inertia is too large to count with; mend it"));

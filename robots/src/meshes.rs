@@ -41,14 +41,18 @@ pub(crate) struct Meshes {
 
 impl Meshes {
     pub(crate) fn new(robot: &Path, options: &LoadOptions) -> Self {
-        let folder = robot.canonicalize().unwrap_or_else(|_| robot.into());
         let mut packages = options.package_paths.clone();
         if let Some(paths) = std::env::var_os("ROS_PACKAGE_PATH") {
             packages.extend(std::env::split_paths(&paths).filter(|path| path.is_absolute()));
         }
+        // The names of folders that are given as `.` or `..` count too. What is not there holds nothing.
+        let packages = packages.iter().filter_map(|package| package.canonicalize().ok());
+        let above = folder_of(robot);
+        // All files lie below the root.
+        let above = above.ancestors().filter(|folder| folder.parent().is_some());
         Self {
-            packages,
-            above: folder.ancestors().skip(1).take(UPWARDS + 1).map(Path::to_path_buf).collect(),
+            packages: packages.collect(),
+            above: above.take(UPWARDS + 1).map(Path::to_path_buf).collect(),
             read: HashMap::new(),
             budget: Budget::default(),
         }
@@ -82,8 +86,7 @@ impl Meshes {
             return Err(Problem::NoMesh { uri: shown(&uri, SHOWN) });
         };
         // What a file from elsewhere names is read within these folders alone.
-        let packages = self.packages.iter().filter_map(|package| package.canonicalize().ok());
-        match packages.chain(self.above.iter().cloned()).any(|base| found.starts_with(base)) {
+        match self.packages.iter().chain(&self.above).any(|base| found.starts_with(base)) {
             true => Ok(found),
             false => Err(Problem::Outside { uri: shown(&uri, SHOWN) }),
         }
@@ -124,6 +127,11 @@ impl Meshes {
         Ok(read)
     }
 
+    /// The files of all meshes that were read.
+    pub(crate) fn files(&self) -> impl Iterator<Item = PathBuf> {
+        self.read.keys().cloned()
+    }
+
     /// Counts a link's copy of a mesh.
     pub(crate) fn count(&mut self, mesh: &TriangleMesh) -> Result<(), Problem> {
         let bytes =
@@ -132,6 +140,13 @@ impl Meshes {
             Problem::Unreadable(format!("its meshes: {error}; {}", TooLarge::REMEDY))
         })
     }
+}
+
+/// The folder of a robot's file, which need not be there: a robot in memory may have any name.
+fn folder_of(robot: &Path) -> PathBuf {
+    let file = robot.canonicalize().or_else(|_| std::path::absolute(robot)).unwrap_or_default();
+    let folder = file.parent().unwrap_or(Path::new(""));
+    folder.canonicalize().unwrap_or_else(|_| folder.into())
 }
 
 /// MuJoCo's own format: counts of points, normals, texture coordinates and triangles, then those.

@@ -63,30 +63,41 @@ pub(crate) fn robot(
         notes: Vec::new(),
         geometries: 0,
         inertias: HashMap::new(),
+        loaded: HashMap::new(),
     };
     reader.world(root)?;
     for equality in root.all("equality").flat_map(|equality| &equality.children) {
         reader.note(format!("the equality constraint {} is not taken", equality.tag));
     }
-    let Reader { mut links, joints, planes, notes, compiler, .. } = reader;
-    weigh(&mut links, &compiler);
+    let Reader { mut links, joints, planes, notes, compiler, meshes, .. } = reader;
+    weigh(&mut links, &compiler).map_err(|problem| root.fail(problem))?;
     let circle = Problem::Loop("some bodies hang from each other, in a circle");
     let joints = ordered(&joints, links.len(), 0).ok_or_else(|| root.fail(circle))?;
     let name = root.get("model").unwrap_or("robot").to_owned();
-    Ok(Robot { name, links, joints, is_in_world: true, planes, notes })
+    let files = included.into_iter().chain(meshes.files()).collect();
+    Ok(Robot { name, links, joints, is_in_world: true, planes, notes, files })
 }
 
 /// Bounds, and the mass of all, as MuJoCo's compiler sets them.
-fn weigh(links: &mut [Link], compiler: &Compiler) {
+fn weigh(links: &mut [Link], compiler: &Compiler) -> Result<(), Problem> {
     let total: f64 = links.iter().skip(1).map(|link| link.inertia.mass_kg).sum();
     if let Some(wanted) = compiler.total_mass.filter(|_| total > 0.0) {
         let scaled = |link: &mut Link| link.inertia = link.inertia.scaled(wanted / total);
         links.iter_mut().for_each(scaled);
+        let are_finite = |own: &Inertia| {
+            own.mass_kg.is_finite() && own.about_centre.iter().all(|moment| moment.is_finite())
+        };
+        if !links.iter().all(|link| are_finite(&link.inertia)) {
+            return Err(Problem::Inertia(
+                "its masses are too small for settotalmass; give masses in kg, or leave it out",
+            ));
+        }
     }
     // The world has no mass.
     if let Some(world) = links.first_mut() {
         world.inertia = Inertia::default();
     }
+    Ok(())
 }
 
 /// The name of a mesh: that of its file where it has none.

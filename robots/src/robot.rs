@@ -1,5 +1,7 @@
 //! Robots: links, joints, and where links are.
 
+use std::path::PathBuf;
+
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, UnitVector3, Vector3};
 use rigidformer_runtime::mesh::TriangleMesh;
 
@@ -21,6 +23,8 @@ pub struct Robot {
     pub planes: Vec<([f64; 3], f64, f64)>,
     /// What was passed over, or mended.
     pub notes: Vec<String>,
+    /// Files that it was read from: meshes, and what its file includes. The file itself is not among them.
+    pub files: Vec<PathBuf>,
 }
 
 /// A rigid part of a robot. Lengths are in its own frame.
@@ -163,6 +167,11 @@ pub(crate) fn turn([w, x, y, z]: [f64; 4]) -> Option<UnitQuaternion<f64>> {
     UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-12)
 }
 
+fn is_finite(pose: &Isometry3<f64>) -> bool {
+    let numbers = pose.translation.vector.iter().chain(pose.rotation.coords.iter());
+    numbers.copied().all(f64::is_finite)
+}
+
 impl Robot {
     /// How many numbers a vector of joint positions has: those of joints that follow no other, in their order.
     pub fn positions(&self) -> usize {
@@ -225,10 +234,12 @@ impl Robot {
             };
             let wrong =
                 RobotError::Position { index: starts.get(number).copied().unwrap_or_default() };
-            let pose = position.and_then(|position| joint.pose(position)).ok_or(wrong)?;
             let parent = poses.get(joint.parent).copied().unwrap_or_default();
+            let pose = position.and_then(|position| joint.pose(position));
+            // Products of large numbers are none any more.
+            let pose = pose.map(|pose| parent * pose).filter(is_finite).ok_or(wrong)?;
             if let Some(child) = poses.get_mut(joint.child) {
-                *child = parent * pose;
+                *child = pose;
             }
         }
         Ok(poses)

@@ -218,7 +218,14 @@ impl Robot {
             }
         }
         let positions = options.positions.as_ref().unwrap_or(&rest);
-        let (pivots, held, joints) = self.pivots(&poses, positions, (&number, &frames), &mut notes);
+        let (pivots, held, joints) =
+            self.pivots(&poses, positions, (&number, &frames, &statics), &mut notes);
+        if options.planes.is_none() && self.planes.len() > MAX_PLANES {
+            notes.push(format!(
+                "the world has {} planes: the first {MAX_PLANES} count",
+                self.planes.len()
+            ));
+        }
         let scene = RecordedScene::new(
             &self.name,
             0,
@@ -297,7 +304,7 @@ impl Robot {
         &self,
         poses: &[Isometry3<f64>],
         positions: &[f64],
-        (number, frames): (&[Option<usize>], &[Isometry3<f64>]),
+        (number, frames, statics): (&[Option<usize>], &[Isometry3<f64>], &[bool]),
         notes: &mut Vec<String>,
     ) -> (Vec<Pivot>, Vec<HeldJoint>, Value) {
         let unit_of = |link: usize| number.get(link).copied().flatten();
@@ -322,6 +329,10 @@ impl Robot {
                 }
             };
             let Some((parent_link, parent)) = parent else { continue };
+            // What never moves needs no joint to what never moves.
+            if [link, parent_link].iter().all(|link| statics.get(*link) == Some(&true)) {
+                continue;
+            }
             let name = |link: usize| self.links.get(link).map_or("", |link| link.name.as_str());
             let (Some(own_pose), Some(parent_pose)) = (poses.get(link), poses.get(parent_link))
             else {
@@ -495,6 +506,13 @@ impl Made<'_> {
             let solid = link.pieces.iter().filter(|piece| ConvexHull::new(piece).is_some());
             let moved = solid.map(|piece| piece.iter().map(|point| back * point).collect());
             let pieces: Vec<Vec<Point3<f32>>> = moved.take(MOST_MERGED).collect();
+            if link.pieces.len() > MOST_MERGED {
+                self.notes.push(format!(
+                    "{} has {} pieces: the first {MOST_MERGED} count",
+                    link.name,
+                    link.pieces.len()
+                ));
+            }
             let pieces = ConvexPieces::merged(pieces, MAX_PIECES).thinned(PIECE_POINTS);
             unit = unit.with_pieces(pieces);
         }

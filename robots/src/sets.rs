@@ -16,14 +16,17 @@ use rigidformer_runtime::mesh::TriangleMesh;
 
 /// Room between meshes of a row, as a share of the larger one's size.
 const ROOM: f64 = 0.25;
+/// Least and greatest density and scale that masses and places stay finite with.
+const DENSITIES: [f64; 2] = [1e-3, 1e6];
+const SCALES: [f64; 2] = [1e-10, 1e6];
 
 /// How a folder's meshes are read.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct MeshSetOptions {
-    /// Density, kg/m^3: 1000.
+    /// Density, kg/m^3, 0.001 to a million: 1000.
     pub density_kg_m3: f64,
-    /// Metres that a length of 1 in the files stands for: 1.
+    /// Metres that a length of 1 in the files stands for, 1e-10 to a million: 1.
     pub scale: f64,
 }
 
@@ -51,7 +54,7 @@ impl Default for MeshSetOptions {
 /// ```
 ///
 /// # Errors
-/// [`RobotError`]: a folder or mesh that cannot be read, or a mesh that encloses nothing.
+/// [`RobotError`]: a folder or mesh that cannot be read, a mesh that encloses nothing, or an option out of range.
 pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, RobotError> {
     let unreadable = |source| {
         RobotError::File(FileError {
@@ -61,6 +64,21 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
             source,
         })
     };
+    let fail = |path: &Path, problem: Problem| RobotError::Element {
+        path: path.into(),
+        line: 0,
+        element: "mesh".into(),
+        problem: Box::new(problem),
+    };
+    for (attribute, number, [least, most], expected) in [
+        ("density", options.density_kg_m3, DENSITIES, "0.001 to a million kg/m^3"),
+        ("scale", options.scale, SCALES, "1e-10 to a million"),
+    ] {
+        if !(least..=most).contains(&number) {
+            let (attribute, found) = (attribute.to_owned(), number.to_string());
+            return Err(fail(folder, Problem::Number { attribute, found, expected }));
+        }
+    }
     let mut paths: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(unreadable)? {
         let path = entry.map_err(unreadable)?.path();
@@ -70,12 +88,6 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
         }
     }
     paths.sort();
-    let fail = |path: &Path, problem: Problem| RobotError::Element {
-        path: path.into(),
-        line: 0,
-        element: "mesh".into(),
-        problem: Box::new(problem),
-    };
     if paths.is_empty() {
         let what = "a folder without meshes";
         return Err(fail(
@@ -94,6 +106,7 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
         is_in_world: true,
         planes: Vec::new(),
         notes: Vec::new(),
+        files: Vec::new(),
     };
     let mut names = HashSet::from(["world".to_owned()]);
     let mut end = 0.0;
@@ -138,6 +151,7 @@ pub fn load_meshes(folder: &Path, options: &MeshSetOptions) -> Result<Robot, Rob
         });
         robot.links.push(link);
     }
+    robot.files = meshes.files().collect();
     Ok(robot)
 }
 

@@ -28,13 +28,21 @@ pub(crate) enum Solid {
 }
 
 impl Solid {
-    /// Whether all its lengths are those of a solid: above 0, and none too large for its triangles.
-    pub(crate) fn is_sound(&self) -> bool {
-        let lengths = match *self {
+    fn lengths(&self) -> [f64; 3] {
+        match *self {
             Solid::Box(half) | Solid::Ellipsoid(half) => half,
             Solid::Cylinder(radius, half) | Solid::Capsule(radius, half) => [radius, half, half],
-        };
-        lengths.iter().all(|length| (1e-9..=1e6).contains(length))
+        }
+    }
+
+    /// Whether a length is not above 0: less than a nanometre is none.
+    pub(crate) fn is_flat(&self) -> bool {
+        self.lengths().iter().any(|length| *length < 1e-9)
+    }
+
+    /// Whether all its lengths are those of a solid: above 0, and none too large for its triangles.
+    pub(crate) fn is_sound(&self) -> bool {
+        self.lengths().iter().all(|length| (1e-9..=1e6).contains(length))
     }
 
     pub(crate) fn volume_m3(&self) -> f64 {

@@ -26,18 +26,22 @@ impl Shapes {
         self.meshes.is_empty()
     }
 
+    /// A solid; `lengths` tells which ones its format takes.
     pub(crate) fn add_solid(
         &mut self,
         solid: &Solid,
-        pose: &Isometry3<f64>,
+        (pose, lengths): (&Isometry3<f64>, &'static str),
         meshes: &mut Meshes,
     ) -> Result<(), Problem> {
-        let what = "a length that is 0, or more than 1000 km";
-        let remedy = "give its half sides or radius in metres";
-        let unsound = Problem::Unsupported { what, remedy };
+        if solid.is_flat() {
+            let what = "a solid with a length that is not above 0";
+            return Err(Problem::Unsupported { what, remedy: lengths });
+        }
+        let what = "a solid that is larger than 1000 km, or farther away";
+        let far = Problem::Unsupported { what, remedy: "give its lengths and its place in metres" };
         let mesh =
             solid.is_sound().then(|| placed(&solid.mesh(), &Vector3::repeat(1.0), pose)).flatten();
-        let mesh = mesh.ok_or(unsound)?;
+        let mesh = mesh.ok_or(far)?;
         meshes.count(&mesh)?;
         self.pieces.push(mesh.points.clone());
         self.meshes.push(mesh);

@@ -14,7 +14,7 @@ use crate::options::LoadOptions;
 use crate::robot::{JointKind, Link, Mimic, Robot, RobotJoint, turn};
 use crate::solid::Solid;
 use crate::tree::{MOST_GEOMETRIES, MOST_LINKS, Shapes, ordered};
-use crate::xml::Element;
+use crate::xml::{Element, MOST};
 
 /// Roots that an error names, at most.
 const NAMED: usize = 4;
@@ -42,13 +42,15 @@ pub(crate) fn robot(root: &Element, options: &LoadOptions) -> Result<Robot, Robo
     if links.is_empty() {
         return Err(root.fail(Problem::Missing("link")));
     }
-    let joints = joints(root, &mut links, &mut numbers)?;
+    let joints = joints(root, &mut links, (&numbers, &mut reader.notes))?;
     let (links, joints) = rooted(root, links, joints)?;
     let name = root.get("name").unwrap_or("robot").to_owned();
     let is_in_world = links.first().is_some_and(|link| {
         link.name == "world" && link.inertia.mass_kg == 0.0 && link.pieces.is_empty()
     });
-    Ok(Robot { name, links, joints, is_in_world, planes: Vec::new(), notes: reader.notes })
+    let Reader { meshes, notes, .. } = reader;
+    let files = meshes.files().collect();
+    Ok(Robot { name, links, joints, is_in_world, planes: Vec::new(), notes, files })
 }
 
 /// Links with the root first, and joints with parents first.
@@ -179,6 +181,7 @@ impl Reader<'_> {
         };
         let solid = match kind.tag.as_str() {
             "box" => {
+                // Whole sides, unlike MJCF's.
                 kind.need("size")?;
                 Solid::Box(kind.numbers("size")?.unwrap_or_default().map(|side: f64| side / 2.0))
             }
@@ -196,7 +199,10 @@ impl Reader<'_> {
                 return Err(kind.fail(Problem::word("geometry", &kind.tag, expected)));
             }
         };
-        shapes.add_solid(&solid, &pose, &mut self.meshes).map_err(|problem| kind.fail(problem))
+        let lengths = "give whole sides, or radius and length, in metres";
+        shapes
+            .add_solid(&solid, (&pose, lengths), &mut self.meshes)
+            .map_err(|problem| kind.fail(problem))
     }
 
     fn mesh(
@@ -249,7 +255,7 @@ fn origin(element: &Element) -> Result<Isometry3<f64>, RobotError> {
 fn joints(
     root: &Element,
     links: &mut Vec<Link>,
-    numbers: &mut HashMap<String, usize>,
+    (numbers, notes): (&HashMap<String, usize>, &mut Vec<String>),
 ) -> Result<Vec<RobotJoint>, RobotError> {
     let mut joints: Vec<RobotJoint> = Vec::new();
     let mut names: HashMap<String, usize> = HashMap::new();
@@ -320,6 +326,11 @@ fn joints(
                     });
                     from = between;
                 }
+                if element.child("mimic").is_some() {
+                    notes.push(format!(
+                        "the joint {name} is planar, and moves in three ways: it follows no other"
+                    ));
+                }
                 names.insert(name.clone(), joints.len());
                 let turn = joint(JointKind::Continuous { axis: normal });
                 joints.push(RobotJoint { parent: from, origin: Isometry3::identity(), ..turn });
@@ -354,7 +365,7 @@ fn joints(
 
 /// Refuses joints that follow themselves, or what has no one position.
 pub(crate) fn follows(joints: &[RobotJoint], joint: usize) -> Result<(), Problem> {
-    let mut at = joint;
+    let (mut at, mut factor, mut offset) = (joint, 1.0_f64, 0.0_f64);
     for _ in 0..=joints.len() {
         let Some(own) = joints.get(at) else { break };
         if own.kind.positions() != 1 {
@@ -365,7 +376,12 @@ pub(crate) fn follows(joints: &[RobotJoint], joint: usize) -> Result<(), Problem
             });
         }
         let Some(mimic) = own.mimic else { return Ok(()) };
-        at = mimic.joint;
+        (at, offset) = (mimic.joint, offset + factor * mimic.offset);
+        factor *= mimic.multiplier;
+        if factor.abs().max(offset.abs()) > MOST {
+            let what = "a joint that follows others with a factor or an offset above 1e30";
+            return Err(Problem::Unsupported { what, remedy: "give smaller multipliers" });
+        }
     }
     Err(Problem::Loop("joints follow each other in a circle"))
 }
@@ -393,5 +409,5 @@ fn limits(element: &Element) -> Result<Option<[f64; 2]>, RobotError> {
     let Some(limit) = element.child("limit") else { return Ok(None) };
     let lower = limit.number("lower")?.unwrap_or(0.0);
     let upper = limit.number("upper")?.unwrap_or(0.0);
-    Ok((lower <= upper).then_some([lower, upper]))
+    Ok((lower < upper).then_some([lower, upper]))
 }

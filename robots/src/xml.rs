@@ -5,7 +5,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use rigidformer_runtime::files::{self, shown};
-use roxmltree::{Document, Node, ParsingOptions};
+use roxmltree::{Document, Node, ParsingOptions, TextPos};
 
 use crate::error::{Problem, RobotError, SHOWN};
 
@@ -24,11 +24,22 @@ const MOST_TEXT: usize = 64;
 /// Bytes of the name of a namespace, at most.
 const MOST_NAME: usize = 128;
 
+/// An attribute's name and value, which copies of its element share.
+pub(crate) type Attribute = (Rc<str>, Rc<str>);
+
+/// Ways to say how an element is turned: one of them stands for all.
+const ORIENTATIONS: [&str; 5] = ["quat", "axisangle", "euler", "xyaxes", "zaxis"];
+
+/// Whether an attribute says how its element is turned.
+pub(crate) fn is_orientation((name, _): &Attribute) -> bool {
+    ORIENTATIONS.contains(&&**name)
+}
+
 /// An element, without its text and comments.
 #[derive(Clone, Debug)]
 pub(crate) struct Element {
     pub(crate) tag: String,
-    attributes: Vec<(String, String)>,
+    attributes: Vec<Attribute>,
     pub(crate) children: Vec<Element>,
     /// Its first text, where that is short.
     text: Option<String>,
@@ -61,12 +72,12 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Element, RobotError> {
     check(text).map_err(|problem| fail(0, problem.into()))?;
     let options =
         ParsingOptions { allow_dtd: false, nodes_limit: MOST_NODES, ..ParsingOptions::default() };
-    let document =
-        Document::parse_with_options(text.trim_start_matches('\u{feff}').trim_start(), options)
-            .map_err(|error| fail(error.pos().row, error.to_string()))?;
+    let trimmed = text.trim_start_matches('\u{feff}').trim_start();
     // Lines before the first element that trimming took.
-    let trimmed = text.len() - text.trim_start_matches('\u{feff}').trim_start().len();
-    let before = text.get(..trimmed).unwrap_or_default().matches('\n').count() as u32;
+    let taken = text.get(..text.len() - trimmed.len()).unwrap_or_default();
+    let before = taken.matches('\n').count() as u32;
+    let document = Document::parse_with_options(trimmed, options)
+        .map_err(|error| fail(before + error.pos().row, placed(&error, before)))?;
     // The tree's own search for a line starts at the beginning each time.
     let text = document.input_text();
     let ends: Vec<usize> = text.match_indices('\n').map(|(at, _)| at).collect();
@@ -76,6 +87,13 @@ pub(crate) fn parse(path: &Path, bytes: &[u8]) -> Result<Element, RobotError> {
     let file: Rc<Path> = path.into();
     element(document.root_element(), &file, &line, 0)
         .map_err(|at| fail(at, "its elements are within each other too deeply".into()))
+}
+
+/// What is wrong, with the line of the file: roxmltree counts from where it began.
+fn placed(error: &roxmltree::Error, before: u32) -> String {
+    let place = error.pos();
+    let own = TextPos::new(before + place.row, place.col);
+    error.to_string().replacen(&place.to_string(), &own.to_string(), 1)
 }
 
 /// Refuses what roxmltree takes the square of its length for.
@@ -110,7 +128,7 @@ fn element(
     if depth > MOST_DEPTH {
         return Err(own);
     }
-    let attributes = node.attributes().map(|a| (a.name().to_owned(), a.value().to_owned()));
+    let attributes = node.attributes().map(|a| (a.name().into(), a.value().into()));
     let children = node.children().filter(Node::is_element);
     Ok(Element {
         tag: node.tag_name().name().to_owned(),
@@ -131,7 +149,7 @@ fn element(
 impl Element {
     /// Its text, where there is some.
     pub(crate) fn get(&self, name: &str) -> Option<&str> {
-        self.attributes.iter().find(|(own, _)| own == name).map(|(_, value)| value.as_str())
+        self.attributes.iter().find(|(own, _)| **own == *name).map(|(_, value)| &**value)
     }
 
     /// The first child of that tag.
@@ -163,10 +181,14 @@ impl Element {
         numbers::<1>(self.text.as_deref()?).map(|[number]| number)
     }
 
-    /// Its attributes, with these where it has none of the name. Without children.
-    pub(crate) fn filled(&self, defaults: &[(String, String)]) -> Element {
-        let own = |name: &String| self.attributes.iter().any(|(known, _)| known == name);
-        let more = defaults.iter().filter(|(name, _)| !own(name)).cloned();
+    /// Its attributes, with these where it has none of the name; its own orientation replaces any other. Without children.
+    pub(crate) fn filled(&self, defaults: &[Attribute]) -> Element {
+        let is_turned = self.attributes.iter().any(is_orientation);
+        let own = |more: &Attribute| {
+            (is_turned && is_orientation(more))
+                || self.attributes.iter().any(|(known, _)| *known == more.0)
+        };
+        let more = defaults.iter().filter(|more| !own(more)).cloned();
         Element {
             tag: self.tag.clone(),
             attributes: self.attributes.iter().cloned().chain(more).collect(),
@@ -178,7 +200,7 @@ impl Element {
     }
 
     /// All its attributes.
-    pub(crate) fn attributes(&self) -> &[(String, String)] {
+    pub(crate) fn attributes(&self) -> &[Attribute] {
         &self.attributes
     }
 
@@ -261,4 +283,4 @@ pub(crate) fn some_numbers(text: &str, most: usize) -> Option<Vec<f64>> {
 }
 
 /// Numbers of a file, at most.
-const MOST: f64 = 1e30;
+pub(crate) const MOST: f64 = 1e30;

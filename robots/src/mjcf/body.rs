@@ -7,8 +7,9 @@ use nalgebra::{Isometry3, Point3, UnitVector3, Vector3};
 
 use super::compiler::{Compiler, FromGeometry};
 use super::defaults::{Defaults, MAIN};
+use super::geometry::Loaded;
 use crate::error::{Problem, RobotError};
-use crate::inertia::{Inertia, doubt, matrix};
+use crate::inertia::{BELOW_0, Inertia, doubt, matrix};
 use crate::meshes::{MeshInertia, Meshes};
 use crate::options::LoadOptions;
 use crate::robot::{JointKind, Link, RobotJoint};
@@ -35,6 +36,8 @@ pub(super) struct Reader<'f> {
     pub(super) geometries: usize,
     /// Of meshes at 1 kg/m3.
     pub(super) inertias: HashMap<(String, MeshInertia), Option<Inertia>>,
+    /// Meshes by name; none where the file is passed over.
+    pub(super) loaded: HashMap<String, Option<Loaded>>,
 }
 
 /// What a body's elements make of it.
@@ -44,8 +47,8 @@ pub(super) struct Parts<'f> {
     pub(super) seen: Shapes,
     pub(super) weights: Vec<Inertia>,
     pub(super) friction: Option<f64>,
-    inertial: Option<&'f Element>,
-    joints: Vec<(&'f Element, String)>,
+    inertial: Option<(&'f Element, Isometry3<f64>)>,
+    joints: Vec<(&'f Element, String, Isometry3<f64>)>,
     bodies: Vec<(&'f Element, String, Isometry3<f64>)>,
     pub(super) geometries: Vec<(&'f Element, String, Isometry3<f64>)>,
     /// Those that are for pictures alone.
@@ -96,13 +99,13 @@ impl<'f> Reader<'f> {
                 }
                 "body" => parts.bodies.push((child, around, *frame)),
                 "geom" => parts.geometries.push((child, class.to_owned(), *frame)),
-                "joint" | "freejoint" => parts.joints.push((child, class.to_owned())),
+                "joint" | "freejoint" => parts.joints.push((child, class.to_owned(), *frame)),
                 "inertial" if parts.inertial.is_some() => {
                     return Err(
                         child.fail(Problem::Duplicate { kind: "inertial", name: String::new() })
                     );
                 }
-                "inertial" => parts.inertial = Some(child),
+                "inertial" => parts.inertial = Some((child, *frame)),
                 "replicate" | "attach" | "composite" | "flexcomp" => {
                     let what = "an element that makes others";
                     let remedy =
@@ -138,7 +141,7 @@ impl<'f> Reader<'f> {
         let mut from = parent;
         let joints = std::mem::take(&mut parts.joints);
         let mut last = None;
-        for (number, (joint, class)) in joints.iter().enumerate() {
+        for (number, (joint, class, frame)) in joints.iter().enumerate() {
             // Several joints of a body follow each other, through links that have no mass.
             if let Some(joint) = last.take() {
                 let between = self
@@ -146,7 +149,7 @@ impl<'f> Reader<'f> {
                 self.hang(from, between, origin, Some(joint));
                 (from, origin) = (between, Isometry3::identity());
             }
-            last = Some(self.joint(joint, class, parent, joints.len())?);
+            last = Some(self.joint(joint, (class, frame), (parent, joints.len()))?);
         }
         if element.flag("mocap")? == Some(true) {
             self.note(format!("the body {name} is moved by mocap, and taken for fixed"));
@@ -196,9 +199,8 @@ impl<'f> Reader<'f> {
     fn joint(
         &mut self,
         element: &Element,
-        class: &str,
-        parent: usize,
-        count: usize,
+        (class, frame): (&str, &Isometry3<f64>),
+        (parent, count): (usize, usize),
     ) -> Result<Axis, RobotError> {
         let is_free = element.tag == "freejoint";
         let element = &match is_free {
@@ -210,18 +212,19 @@ impl<'f> Reader<'f> {
             return Err(element.fail(Problem::duplicate("joint", &name)));
         }
         let kind = if is_free { "free" } else { element.get("type").unwrap_or("hinge") };
-        let anchor = Point3::from(element.numbers::<3>("pos")?.unwrap_or([0.0; 3]));
+        let anchor = frame * Point3::from(element.numbers::<3>("pos")?.unwrap_or([0.0; 3]));
         let reference = element.number("ref")?.unwrap_or(0.0);
         let axis = || -> Result<UnitVector3<f64>, RobotError> {
             let numbers = element.numbers("axis")?.unwrap_or([0.0, 0.0, 1.0]);
-            UnitVector3::try_new(Vector3::from(numbers), 1e-10).ok_or_else(|| {
+            let axis = UnitVector3::try_new(Vector3::from(numbers), 1e-10).ok_or_else(|| {
                 let found = format!("{numbers:?}");
                 element.fail(Problem::Number {
                     attribute: "axis".into(),
                     found,
                     expected: "a direction",
                 })
-            })
+            })?;
+            Ok(frame.rotation * axis)
         };
         Ok(match kind {
             "free" if parent != 0 || count != 1 => {
@@ -266,9 +269,11 @@ impl<'f> Reader<'f> {
         let range = element.numbers::<2>("range")?;
         let said = [("true", Some(true)), ("false", Some(false)), ("auto", None)];
         let limited = element.word("limited", &said, "true, false or auto")?.flatten();
-        let is_limited = limited.unwrap_or(self.compiler.auto_limits && range.is_some());
+        // A range that does not rise is none, unless the joint says that it counts.
+        let rises = range.is_some_and(|[low, high]| low < high);
+        let is_limited = limited.unwrap_or(self.compiler.auto_limits && rises);
         match range.filter(|_| is_limited) {
-            Some([low, high]) if low > high => {
+            Some([low, high]) if !rises => {
                 let found = format!("{low} {high}");
                 Err(element.fail(Problem::Number {
                     attribute: "range".into(),
@@ -295,7 +300,7 @@ impl<'f> Reader<'f> {
         let weighs = given.is_none() && self.compiler.from_geometry != FromGeometry::Never;
         self.add_all(parts, (false, weighs))?;
         let (own, of) = match given {
-            Some(inertial) => (self.inertial(inertial)?, inertial),
+            Some((inertial, frame)) => (self.inertial(inertial)?.moved(&frame), inertial),
             None => (Inertia::sum(&parts.weights), element),
         };
         let own = self.bounded(own, of, &name)?;
@@ -308,6 +313,10 @@ impl<'f> Reader<'f> {
     fn inertial(&self, element: &Element) -> Result<Inertia, RobotError> {
         element.need("mass")?;
         let mass_kg = element.number("mass")?.unwrap_or_default();
+        // A bound on masses would hide the sign.
+        if mass_kg < 0.0 {
+            return Err(element.fail(BELOW_0));
+        }
         let moments =
             match (element.numbers::<6>("fullinertia")?, element.numbers::<3>("diaginertia")?) {
                 (Some(full), _) => full,

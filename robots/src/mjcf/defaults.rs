@@ -3,16 +3,47 @@
 use std::collections::HashMap;
 
 use crate::error::{Problem, RobotError};
-use crate::xml::Element;
+use crate::xml::{Attribute, Element, is_orientation};
 
 /// The class of elements that name none.
 pub(super) const MAIN: &str = "main";
 /// Elements that have classes here.
 const TAGS: [&str; 3] = ["geom", "joint", "mesh"];
+/// Attributes that are read of those: each class keeps what it inherits, and a file may make up any number of others.
+const READ: [&str; 25] = [
+    "axis",
+    "axisangle",
+    "conaffinity",
+    "contype",
+    "density",
+    "euler",
+    "friction",
+    "fromto",
+    "group",
+    "inertia",
+    "limited",
+    "mass",
+    "mesh",
+    "pos",
+    "quat",
+    "range",
+    "ref",
+    "refpos",
+    "refquat",
+    "scale",
+    "shellinertia",
+    "size",
+    "type",
+    "xyaxes",
+    "zaxis",
+];
 /// Classes of a file, at most: each keeps what it inherits.
 const MOST_CLASSES: usize = 2000;
 
-type Attributes = Vec<(String, String)>;
+/// Bytes of a value, at most: each element of the class reads it again.
+const MOST_VALUE: usize = 4096;
+
+type Attributes = Vec<Attribute>;
 
 /// Attributes by class and tag, with what classes inherit.
 #[derive(Debug, Default)]
@@ -42,7 +73,18 @@ impl Defaults {
         for tag in TAGS {
             for own in element.all(tag) {
                 let attributes = inherited.entry(tag).or_default();
+                if own.attributes().iter().any(is_orientation) {
+                    attributes.retain(|known| !is_orientation(known));
+                }
                 for (name, value) in own.attributes() {
+                    if !READ.contains(&&**name) {
+                        continue;
+                    }
+                    if value.len() > MOST_VALUE {
+                        let what = "a default of more than 4096 bytes";
+                        let remedy = "give it to the elements themselves";
+                        return Err(own.fail(Problem::Unsupported { what, remedy }));
+                    }
                     attributes.retain(|(known, _)| known != name);
                     attributes.push((name.clone(), value.clone()));
                 }

@@ -10,12 +10,12 @@ use super::body::{Parts, Reader};
 use super::compiler::from_z;
 use super::defaults::MAIN;
 use crate::error::{Problem, RobotError};
-use crate::inertia::Inertia;
+use crate::inertia::{BELOW_0, Inertia};
 use crate::meshes::{MeshFile, MeshInertia, mesh_inertia, placed};
 use crate::robot::turn;
 use crate::solid::Solid;
 use crate::tree::MOST_GEOMETRIES;
-use crate::xml::Element;
+use crate::xml::{Element, some_numbers};
 
 /// kg/m3 where a geometry has neither mass nor density.
 const DENSITY: f64 = 1000.0;
@@ -23,6 +23,13 @@ const DENSITY: f64 = 1000.0;
 const FRICTION: f64 = 1.0;
 /// Numbers of a mesh in the file itself, at most.
 const MOST_NUMBERS: usize = 3_000_000;
+
+/// A mesh as geometries take it: with its own reference taken off.
+#[derive(Clone)]
+pub(super) struct Loaded {
+    file: Rc<MeshFile>,
+    scale: Vector3<f64>,
+}
 
 /// When a geometry is looked at.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -80,6 +87,10 @@ impl<'f> Reader<'f> {
         let (fit, size) = self.fitted(&own)?;
         let pose = frame * fit.map_or_else(|| self.compiler.pose(&own), Ok)?;
         match kind.as_str() {
+            "plane" if is_world && !touches => {
+                self.note("a plane of the world touches nothing, and is passed over".into());
+                return Ok(());
+            }
             "plane" if is_world => {
                 let normal = pose.rotation * Vector3::z();
                 self.planes.push((normal.into(), normal.dot(&pose.translation.vector), friction));
@@ -97,7 +108,7 @@ impl<'f> Reader<'f> {
                 return Err(own.fail(Problem::Unsupported { what, remedy: "give a mesh of it" }));
             }
             "mesh" => {
-                let Some((file, scale, pose)) = self.mesh(&own, &pose)? else { return Ok(()) };
+                let Some(Loaded { file, scale }) = self.mesh(&own)? else { return Ok(()) };
                 if weighs && let Some(weight) = self.weight_of_mesh(&own, &file, (&scale, &pose))? {
                     parts.weights.push(weight);
                 }
@@ -131,14 +142,13 @@ impl<'f> Reader<'f> {
                 };
                 if weighs && self.weighs(&own)? {
                     self.not_a_shell(&own)?;
-                    let mass_kg = match own.number("mass")? {
-                        Some(mass_kg) => mass_kg,
-                        None => solid.volume_m3() * own.number("density")?.unwrap_or(DENSITY),
-                    };
+                    let (mass, density) = masses(&own)?;
+                    let mass_kg = mass.unwrap_or(solid.volume_m3() * density);
                     parts.weights.push(solid.inertia(mass_kg).moved(&pose));
                 }
                 let shapes = if touches { &mut parts.touching } else { &mut parts.seen };
-                let added = shapes.add_solid(&solid, &pose, &mut self.meshes);
+                let lengths = "give half sides, or radius and half of the length, in metres";
+                let added = shapes.add_solid(&solid, (&pose, lengths), &mut self.meshes);
                 added.map_err(|problem| own.fail(problem))?;
             }
         }
@@ -181,11 +191,9 @@ impl<'f> Reader<'f> {
                 size.push(half);
             }
             Some("box" | "ellipsoid") => {
-                // One number stands for both sides across.
-                size.truncate(2);
-                if let [side] = size[..] {
-                    size.push(side);
-                }
+                // The first number stands for both sides across, also where there are more.
+                size.truncate(1);
+                size.extend(size.first().copied());
                 size.push(half);
             }
             other => {
@@ -197,14 +205,18 @@ impl<'f> Reader<'f> {
         Ok((Some(Isometry3::from_parts(middle, from_z(&way))), size))
     }
 
-    /// A geometry's mesh, its scale, and its pose with the mesh's own reference.
-    #[expect(clippy::type_complexity, reason = "its one caller takes it apart at once")]
-    fn mesh(
-        &mut self,
-        own: &Element,
-        pose: &Isometry3<f64>,
-    ) -> Result<Option<(Rc<MeshFile>, Vector3<f64>, Isometry3<f64>)>, RobotError> {
+    /// A geometry's mesh, which others may have too: it is read once.
+    fn mesh(&mut self, own: &Element) -> Result<Option<Loaded>, RobotError> {
         let name = own.need("mesh")?;
+        if let Some(known) = self.loaded.get(name) {
+            return Ok(known.clone());
+        }
+        let loaded = self.load(own, name)?;
+        self.loaded.insert(name.to_owned(), loaded.clone());
+        Ok(loaded)
+    }
+
+    fn load(&mut self, own: &Element, name: &str) -> Result<Option<Loaded>, RobotError> {
         let asset =
             *self.assets.get(name).ok_or_else(|| own.fail(Problem::unknown("mesh", name)))?;
         let asset = self.defaults.filled(asset, "mesh", MAIN)?;
@@ -229,13 +241,19 @@ impl<'f> Reader<'f> {
                 };
                 self.meshes.read(&path, &uri).map_err(|problem| asset.fail(problem))?
             }
-            None => Rc::new(self.inline(&asset)?),
+            None => {
+                let file = inline(&asset)?;
+                for group in &file.groups {
+                    self.meshes.count(&group.mesh).map_err(|problem| asset.fail(problem))?;
+                }
+                Rc::new(file)
+            }
         };
         // The reference is taken off before the scale.
         let reference =
             Isometry3::from_parts(Translation3::from(Vector3::from(back)), turned).inverse();
         if reference == Isometry3::identity() {
-            return Ok(Some((file, scale, *pose)));
+            return Ok(Some(Loaded { file, scale }));
         }
         let far = || asset.fail(Problem::Inertia("its mesh is too far away; give another refpos"));
         let mut groups = Vec::new();
@@ -244,7 +262,8 @@ impl<'f> Reader<'f> {
             self.meshes.count(&mesh).map_err(|problem| asset.fail(problem))?;
             groups.push(Group { name: group.name.clone(), mesh });
         }
-        Ok(Some((Rc::new(MeshFile { groups, is_of_pieces: false }), scale, *pose)))
+        let file = Rc::new(MeshFile { groups, is_of_pieces: false });
+        Ok(Some(Loaded { file, scale }))
     }
 
     /// A mesh's file, in the folder of meshes.
@@ -260,41 +279,6 @@ impl<'f> Reader<'f> {
         }
     }
 
-    /// A mesh whose corners are in the file of the robot itself; without faces, their hull.
-    fn inline(&self, asset: &Element) -> Result<MeshFile, RobotError> {
-        let Some(text) = asset.get("vertex") else {
-            let what = "a mesh without a file and without corners";
-            return Err(asset.fail(Problem::Unsupported { what, remedy: "give its file" }));
-        };
-        let bad = |attribute: &str| {
-            let found = "its numbers".to_owned();
-            asset.fail(Problem::Number {
-                attribute: attribute.into(),
-                found,
-                expected: "rows of three finite numbers",
-            })
-        };
-        let rows = |text: &str| -> Option<Vec<[f64; 3]>> {
-            let numbers = crate::xml::some_numbers(text, MOST_NUMBERS)?;
-            let (rows, rest) = numbers.as_chunks::<3>();
-            rest.is_empty().then(|| rows.to_vec())
-        };
-        let points = rows(text).ok_or_else(|| bad("vertex"))?;
-        let points: Vec<Point3<f32>> = points.iter().map(|row| Point3::from(*row).cast()).collect();
-        let mesh = match asset.get("face") {
-            Some(text) => {
-                let triangles = rows(text).ok_or_else(|| bad("face"))?;
-                let triangles =
-                    triangles.iter().map(|row| row.map(|corner| corner as u32)).collect();
-                Some(TriangleMesh { points, triangles })
-            }
-            None => TriangleMesh::hull(&points),
-        };
-        let sound = mesh.filter(|mesh| mesh.is_sound() && !mesh.triangles.is_empty());
-        let mesh = sound.ok_or_else(|| bad("face"))?;
-        Ok(MeshFile { groups: vec![Group { name: String::new(), mesh }], is_of_pieces: false })
-    }
-
     /// What a mesh weighs; none where it does not count.
     fn weight_of_mesh(
         &mut self,
@@ -302,9 +286,11 @@ impl<'f> Reader<'f> {
         file: &MeshFile,
         (scale, pose): (&Vector3<f64>, &Isometry3<f64>),
     ) -> Result<Option<Inertia>, RobotError> {
-        let mass = own.number("mass")?;
-        let density = own.number("density")?.unwrap_or(DENSITY);
-        if !self.weighs(own)? || mass.unwrap_or(density) == 0.0 {
+        if !self.weighs(own)? {
+            return Ok(None);
+        }
+        let (mass, density) = masses(own)?;
+        if mass.unwrap_or(density) == 0.0 {
             return Ok(None);
         }
         self.not_a_shell(own)?;
@@ -344,4 +330,49 @@ impl<'f> Reader<'f> {
         let mass_kg = mass.unwrap_or(unit.mass_kg * density);
         Ok(Some(unit.scaled(mass_kg / unit.mass_kg).moved(pose)))
     }
+}
+
+/// Mass and density of a geometry that weighs.
+fn masses(own: &Element) -> Result<(Option<f64>, f64), RobotError> {
+    let (mass, density) = (own.number("mass")?, own.number("density")?.unwrap_or(DENSITY));
+    match mass.is_some_and(|mass| mass < 0.0) || density < 0.0 {
+        true => Err(own.fail(BELOW_0)),
+        false => Ok((mass, density)),
+    }
+}
+
+/// A mesh whose corners are in the file of the robot itself; without faces, their hull.
+fn inline(asset: &Element) -> Result<MeshFile, RobotError> {
+    let Some(text) = asset.get("vertex") else {
+        let what = "a mesh without a file and without corners";
+        return Err(asset.fail(Problem::Unsupported { what, remedy: "give its file" }));
+    };
+    let bad = |attribute: &str, expected: &'static str| {
+        let (attribute, found) = (attribute.to_owned(), "its numbers".to_owned());
+        asset.fail(Problem::Number { attribute, found, expected })
+    };
+    let read = |text: &str| {
+        some_numbers(text, MOST_NUMBERS).filter(|numbers| numbers.len().is_multiple_of(3))
+    };
+    let rows = "rows of three finite numbers";
+    let points = read(text).ok_or_else(|| bad("vertex", rows))?;
+    let (points, _) = points.as_chunks::<3>();
+    let points: Vec<Point3<f32>> = points.iter().map(|row| Point3::from(*row).cast()).collect();
+    let corners = "rows of three numbers of corners, from 0";
+    let mesh = match asset.get("face") {
+        Some(text) => {
+            let faces = read(text).ok_or_else(|| bad("face", corners))?;
+            let is_corner = |n: &f64| *n >= 0.0 && *n < points.len() as f64 && n.fract() == 0.0;
+            if !faces.iter().all(is_corner) {
+                return Err(bad("face", corners));
+            }
+            let (faces, _) = faces.as_chunks::<3>();
+            let triangles = faces.iter().map(|row| row.map(|corner| corner as u32)).collect();
+            Some(TriangleMesh { points, triangles })
+        }
+        None => TriangleMesh::hull(&points),
+    };
+    let sound = mesh.filter(|mesh| mesh.is_sound() && !mesh.triangles.is_empty());
+    let mesh = sound.ok_or_else(|| bad("vertex", "the corners of a body, with faces if any"))?;
+    Ok(MeshFile { groups: vec![Group { name: String::new(), mesh }], is_of_pieces: false })
 }

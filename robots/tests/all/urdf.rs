@@ -141,7 +141,7 @@ fn what_no_robot_has_is_refused_with_its_line() {
         (inertial("1", "1 -1 1"), "below 0"),
         (inertial("1e400", "1 1 1"), "a finite number"),
         ("<link name=\"a\"><collision><geometry><mesh filename=\"package://none/a.stl\"/></geometry></collision></link>".into(), "--package-path"),
-        ("<link name=\"a\"><collision><geometry><box size=\"0 1 1\"/></geometry></collision></link>".into(), "a length that is 0"),
+        ("<link name=\"a\"><collision><geometry><box size=\"0 1 1\"/></geometry></collision></link>".into(), "a length that is not above 0 is not taken; give whole sides"),
         ("<link name=\"a\"><collision><geometry><cone/></geometry></collision></link>".into(), "box, sphere"),
         (String::new(), "has no link"),
     ];

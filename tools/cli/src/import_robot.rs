@@ -1,5 +1,7 @@
 //! `rigidformer import-robot`
 
+use std::path::PathBuf;
+
 use nalgebra::{Isometry3, Translation3};
 use rigidformer_evaluation::scenes::{Dataset, SceneNotes};
 use rigidformer_robots::{
@@ -19,6 +21,8 @@ pub(crate) fn run(arguments: &ImportRobot) -> anyhow::Result<()> {
     output::apart("--out", &arguments.out, [arguments.input.as_path()])?;
     check(arguments)?;
     let robot = read(arguments)?;
+    // Files that a robot names are known once it is read, and nothing is written yet.
+    output::apart("--out", &arguments.out, robot.files.iter().map(PathBuf::as_path))?;
     interrupt::check()?;
     let made = robot.scene(&scene_options(arguments)?)?;
     let notes = SceneNotes {
@@ -45,9 +49,33 @@ fn check(arguments: &ImportRobot) -> Result<(), Usage> {
         ),
         (!at_least_0(arguments.friction), "--friction: give 0 to 1000"),
         (!at_least_0(arguments.restitution), "--restitution: give 0 to 1000"),
-        (!(1e-3..=1e6).contains(&arguments.density), "--density: give 0.001 to a million kg/m^3"),
-        (!(1e-10..=1e6).contains(&arguments.scale), "--scale: give 1e-10 to 1e6"),
+        (
+            arguments.density.is_some_and(|density| !(1e-3..=1e6).contains(&density)),
+            "--density: give 0.001 to a million kg/m^3",
+        ),
+        (
+            arguments.scale.is_some_and(|scale| !(1e-10..=1e6).contains(&scale)),
+            "--scale: give 1e-10 to 1e6",
+        ),
     ];
+    // What has no effect is a mistake.
+    let (of_files, of_folders) = (
+        "is for a robot's file, and has no effect on a folder of meshes; leave it out",
+        "is for a folder of meshes, and has no effect on a robot's file; leave it out",
+    );
+    let is_folder = arguments.input.is_dir();
+    let idle = [
+        ("--package-path", is_folder && !arguments.package_path.is_empty(), of_files),
+        ("--skip-meshes", is_folder && arguments.skip_meshes, of_files),
+        ("--merge-fixed", is_folder && arguments.merge_fixed, of_files),
+        ("--balance", is_folder && arguments.balance, of_files),
+        ("--fixed-base", is_folder && arguments.fixed_base, of_files),
+        ("--density", !is_folder && arguments.density.is_some(), of_folders),
+        ("--scale", !is_folder && arguments.scale.is_some(), of_folders),
+    ];
+    if let Some((option, _, text)) = idle.into_iter().find(|(_, is_idle, _)| *is_idle) {
+        return Err(Usage(format!("{option} {text}")));
+    }
     match wrong.into_iter().find(|(is_wrong, _)| *is_wrong) {
         Some((_, text)) => Err(Usage(text.into())),
         None => Ok(()),
@@ -57,8 +85,8 @@ fn check(arguments: &ImportRobot) -> Result<(), Usage> {
 fn read(arguments: &ImportRobot) -> anyhow::Result<Robot> {
     if arguments.input.is_dir() {
         let mut options = MeshSetOptions::default();
-        options.density_kg_m3 = arguments.density;
-        options.scale = arguments.scale;
+        options.density_kg_m3 = arguments.density.unwrap_or(options.density_kg_m3);
+        options.scale = arguments.scale.unwrap_or(options.scale);
         return Ok(load_meshes(&arguments.input, &options)?);
     }
     let mut options = LoadOptions::default();

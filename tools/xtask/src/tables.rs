@@ -179,6 +179,10 @@ impl Table {
         if title.trim().is_empty() || machine.trim().is_empty() || command.is_empty() {
             bail!("title, machine and command are needed");
         }
+        // Of several origins all but one would be passed over.
+        if self.models.is_some() && (self.source.is_some() || self.date.is_some()) {
+            bail!(NEEDED);
+        }
         let (columns, rows, when) = match (&self.source, &self.date, &self.commit) {
             (None, Some(date), Some(commit)) => {
                 (self.columns.clone(), self.rows.clone(), when(date, commit)?)

@@ -57,12 +57,12 @@ pub(crate) struct ImportRobot {
     /// Restitution of all units
     #[arg(long, value_name = "R", default_value_t = 0.4)]
     pub(crate) restitution: f32,
-    /// Density of a folder's meshes, kg/m^3
-    #[arg(long, value_name = "D", default_value_t = 1000.0)]
-    pub(crate) density: f64,
-    /// Metres that a length of 1 in a folder's meshes stands for
-    #[arg(long, value_name = "METRES", default_value_t = 1.0)]
-    pub(crate) scale: f64,
+    /// Density of a folder's meshes, kg/m^3 [default: 1000]
+    #[arg(long, value_name = "D")]
+    pub(crate) density: Option<f64>,
+    /// Metres that a length of 1 in a folder's meshes stands for [default: 1]
+    #[arg(long, value_name = "METRES")]
+    pub(crate) scale: Option<f64>,
     /// Under which terms the robot may be used
     #[arg(long, value_name = "TEXT", default_value = "not told")]
     pub(crate) licence: String,

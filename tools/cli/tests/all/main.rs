@@ -9,6 +9,8 @@ mod cli;
 mod doors;
 mod hostile;
 mod import;
+#[cfg(feature = "robots")]
+mod import_robot;
 mod render;
 mod smooth_and_labels;
 mod track;

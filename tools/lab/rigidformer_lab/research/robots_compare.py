@@ -3,7 +3,8 @@
     python -m rigidformer_lab.research.robots_compare arm.urdf humanoid.xml --program target/release/rigidformer
 
 Of each file: links and joints, and the worst relative differences of masses, of centres of mass (in metres), of inertia tensors in the
-world, and of joint axes, all at rest. MuJoCo reads a URDF without its shapes, and with a root that floats, since it would weigh nothing.
+world, of joint axes and of limits, all at rest. Numbers of bodies and joints, and kinds of joints, are equal, or the file fails. MuJoCo
+reads a URDF without its shapes, and with a root that floats, since it would weigh nothing. Ends with 1 after a failure, or a difference.
 Needs `mujoco`.
 """
 
@@ -22,6 +23,15 @@ import numpy as np
 # Bodies without mass are frames alone: below this a difference says nothing.
 LEAST_KG = 1e-9
 GOOD = 1e-4
+# MuJoCo takes no moments of zero, and has this.
+LEAST_MOMENT = 1e-14
+ADDED = "of_the_comparison"
+KINDS = {
+    int(mujoco.mjtJoint.mjJNT_FREE): ("free",),
+    int(mujoco.mjtJoint.mjJNT_BALL): ("ball",),
+    int(mujoco.mjtJoint.mjJNT_SLIDE): ("prismatic",),
+    int(mujoco.mjtJoint.mjJNT_HINGE): ("revolute", "continuous"),
+}
 
 
 def without_shapes(path: str, balances: bool) -> str:
@@ -36,16 +46,10 @@ def without_shapes(path: str, balances: bool) -> str:
     [first] = [link.get("name") for link in root.findall("link") if link.get("name") not in children]
     for element in [element for element in root if element.tag not in ("link", "joint")]:
         root.remove(element)
-    # What has a limit in name alone does not move in MuJoCo's eyes, and what does not rise is refused.
-    for joint in root.findall("joint"):
-        for limit in joint.findall("limit"):
-            joint.remove(limit)
-        if joint.get("type") == "revolute":
-            joint.set("type", "continuous")
     # Only below a link of that name may a link float.
     if first != "world":
         ElementTree.SubElement(root, "link", name="world")
-        floating = ElementTree.SubElement(root, "joint", name="of_the_comparison", type="floating")
+        floating = ElementTree.SubElement(root, "joint", name=ADDED, type="floating")
         ElementTree.SubElement(floating, "parent", link="world")
         ElementTree.SubElement(floating, "child", link=first)
     extension = ElementTree.SubElement(root, "mujoco")
@@ -55,7 +59,7 @@ def without_shapes(path: str, balances: bool) -> str:
         fusestatic="false",
         inertiafromgeom="false",
         boundmass="1e-14",
-        boundinertia="1e-14",
+        boundinertia=str(LEAST_MOMENT),
         balanceinertia=str(balances).lower(),
     )
     return ElementTree.tostring(root, encoding="unicode")
@@ -81,7 +85,8 @@ def ours(path: str, arguments: argparse.Namespace) -> dict:
         command += ["--balance"] if arguments.balance else []
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
-        raise RuntimeError(done.stderr.strip().splitlines()[-1])
+        said = done.stderr.strip().splitlines() or [f"no text, and exit code {done.returncode}"]
+        raise RuntimeError(said[-1])
     return json.loads(done.stdout)
 
 
@@ -91,8 +96,24 @@ def rotation(pose: list[float]) -> np.ndarray:
     return matrix.reshape(3, 3)
 
 
+def finite(number: float) -> float:
+    """What is no number is no difference that a comparison could be good by."""
+    if not np.isfinite(number):
+        raise RuntimeError("a number is not finite")
+    return float(number)
+
+
+def distance(a: np.ndarray, b: np.ndarray) -> float:
+    return finite(np.linalg.norm(np.asarray(a) - np.asarray(b)))
+
+
 def relative(a: np.ndarray, b: np.ndarray) -> float:
-    return float(np.linalg.norm(a - b) / max(np.linalg.norm(b), 1e-300))
+    return finite(distance(a, b) / max(np.linalg.norm(b), 1e-300))
+
+
+def counted(what: str, own: int, other: int) -> None:
+    if own != other:
+        raise RuntimeError(f"{own} {what}, and MuJoCo has {other}")
 
 
 def compare(path: str, arguments: argparse.Namespace) -> dict:
@@ -107,7 +128,7 @@ def compare(path: str, arguments: argparse.Namespace) -> dict:
     ]
     names = [model.body(number).name for number in range(model.nbody)]
     by_name = {name: number for number, name in enumerate(names) if name}
-    mass, centre, inertia, compared = 0.0, 0.0, 0.0, 0
+    mass, centre, inertia, compared = 0.0, 0.0, 0.0, set()
     for place, link in enumerate(links):
         number = by_name.get(link["name"], place if place < len(names) and not names[place] else None)
         if number is None:
@@ -115,39 +136,52 @@ def compare(path: str, arguments: argparse.Namespace) -> dict:
         # The world weighs nothing.
         if number == 0:
             continue
-        compared += 1
+        if number in compared:
+            raise RuntimeError(f"two links are the body {names[number]} of MuJoCo")
+        compared.add(number)
         if max(link["mass_kg"], model.body_mass[number]) < LEAST_KG:
             continue
-        mass = max(mass, abs(link["mass_kg"] - model.body_mass[number]) / max(model.body_mass[number], LEAST_KG))
+        other = model.body_mass[number]
+        mass = max(mass, finite(abs(link["mass_kg"] - other) / max(other, LEAST_KG)))
         turn = rotation(link["pose"])
         at = np.array(link["pose"][:3]) + turn @ np.array(link["centre_of_mass_m"])
-        centre = max(centre, float(np.linalg.norm(at - data.xipos[number])))
+        centre = max(centre, distance(at, data.xipos[number]))
         own = turn @ np.array(link["inertia_kg_m2"]) @ turn.T
         axes = data.ximat[number].reshape(3, 3)
         other = axes @ np.diag(model.body_inertia[number]) @ axes.T
-        # MuJoCo takes no moments of zero, and has others.
-        if np.any(own):
+        if np.any(own) or np.abs(other).max() > 2 * LEAST_MOMENT:
             inertia = max(inertia, relative(own, other))
-    axis, joints = 0.0, 0
+    counted("bodies", len(compared), model.nbody - 1)
+    if not compared:
+        raise RuntimeError("there is no body to compare")
+    axis, limit = 0.0, 0.0
     moving = [joint for joint in robot["joints"] if joint["kind"] != "fixed"]
-    known = {model.joint(number).name: number for number in range(model.njnt) if model.joint(number).name}
+    others = [number for number in range(model.njnt) if model.joint(number).name != ADDED]
+    counted("joints that move", len(moving), len(others))
+    known = {model.joint(number).name: number for number in others if model.joint(number).name}
     for place, joint in enumerate(moving):
-        joints += 1
-        number = known.get(joint["name"], place)
+        number = known.get(joint["name"], others[place])
+        if joint["kind"] not in KINDS[int(model.jnt_type[number])]:
+            raise RuntimeError(f"the joint {joint['name']} is {joint['kind']}, and MuJoCo has another kind")
         if joint["axis_at_rest"] is not None:
+            if (joint["limits"] is not None) != bool(model.jnt_limited[number]):
+                raise RuntimeError(f"the joint {joint['name']} has limits {joint['limits']}, and MuJoCo differs")
+            if joint["limits"] is not None:
+                limit = max(limit, distance(joint["limits"], model.jnt_range[number]))
             axis = max(axis, relative(np.array(joint["axis_at_rest"]), data.xaxis[number]))
             child = next(link for link in robot["links"] if link["name"] == joint["child"])
             anchor = np.array(child["pose"][:3]) + rotation(child["pose"]) @ np.array(joint["anchor"])
-            centre = max(centre, float(np.linalg.norm(anchor - data.xanchor[number])))
+            centre = max(centre, distance(anchor, data.xanchor[number]))
     total = sum(link["mass_kg"] for link in links)
     return {
-        "links": compared,
-        "joints": joints,
-        "kg": total,
+        "links": len(compared),
+        "joints": len(moving),
+        "kg": finite(total),
         "mass": mass,
         "inertia": inertia,
         "place_m": centre,
         "axis": axis,
+        "limits": limit,
         "notes": len(robot["notes"]),
     }
 
@@ -158,20 +192,23 @@ def main() -> None:
     parser.add_argument("--program", default="rigidformer")
     parser.add_argument("--balance", action="store_true", help="both balance inertia that no body has")
     arguments = parser.parse_args()
-    print("|file|links|joints|kg|mass|inertia|centres, anchors m|axes|")
-    print("|---|---|---|---|---|---|---|---|")
+    print("|file|links|joints|kg|mass|inertia|centres, anchors m|axes|limits|")
+    print("|---|---|---|---|---|---|---|---|---|")
     good = 0
     for path in arguments.files:
         name = "/".join(path.split("/")[-2:])
         try:
             row = compare(path, arguments)
         except Exception as error:  # Each file says why for itself.
-            print(f"|{name}|failed: {str(error).splitlines()[0][:200]}|", flush=True)
+            said = str(error).splitlines() or [type(error).__name__]
+            print(f"|{name}|failed: {said[0][:200]}|", flush=True)
             continue
-        good += max(row["mass"], row["inertia"], row["axis"], row["place_m"]) <= GOOD
-        numbers = "|".join(f"{row[key]:.1e}" for key in ("mass", "inertia", "place_m", "axis"))
+        differences = [row[key] for key in ("mass", "inertia", "place_m", "axis", "limits")]
+        good += max(differences) <= GOOD
+        numbers = "|".join(f"{difference:.1e}" for difference in differences)
         print(f"|{name}|{row['links']}|{row['joints']}|{row['kg']:.4g}|{numbers}|", flush=True)
     print(f"{good} of {len(arguments.files)} equal within {GOOD}", file=sys.stderr)
+    sys.exit(good != len(arguments.files))
 
 
 if __name__ == "__main__":

@@ -113,6 +113,15 @@ fn classes_share_what_they_inherit() {
         "<mujoco><default><geom user='{text}' material='{text}'/>{classes}</default></mujoco>"
     );
     assert!(read(&many).is_ok());
+    let joints = "<joint/>".repeat(1000);
+    let named =
+        format!("<mujoco><worldbody><body name='{text}'>{joints}</body></worldbody></mujoco>");
+    assert!(refused(&named).contains("a name of more than 1024 bytes"));
+    let around = format!(
+        "<mujoco><worldbody><body childclass='{text}'>{}</body></worldbody></mujoco>",
+        "<geom size='1'/>".repeat(20_000)
+    );
+    assert!(refused(&around).contains("default class"));
 }
 
 #[test]

@@ -14,6 +14,20 @@ pub(crate) const MOST_LINKS: usize = 2000;
 /// Geometries of a robot, at most.
 pub(crate) const MOST_GEOMETRIES: usize = 20_000;
 
+/// Bytes of a link's name, at most: links between joints, and notes, repeat it.
+const MOST_NAME: usize = 1024;
+
+/// Refuses long names.
+pub(crate) fn is_short(name: &str) -> Result<(), Problem> {
+    match name.len() <= MOST_NAME {
+        true => Ok(()),
+        false => Err(Problem::Unsupported {
+            what: "a name of more than 1024 bytes",
+            remedy: "give a shorter one",
+        }),
+    }
+}
+
 /// A link's geometries while they are collected.
 #[derive(Default)]
 pub(crate) struct Shapes {

@@ -13,7 +13,7 @@ use crate::meshes::Meshes;
 use crate::options::LoadOptions;
 use crate::robot::{JointKind, Link, Mimic, Robot, RobotJoint, turn};
 use crate::solid::Solid;
-use crate::tree::{MOST_GEOMETRIES, MOST_LINKS, Shapes, ordered};
+use crate::tree::{MOST_GEOMETRIES, MOST_LINKS, Shapes, is_short, ordered};
 use crate::xml::{Element, MOST};
 
 /// Roots that an error names, at most.
@@ -31,6 +31,7 @@ pub(crate) fn robot(root: &Element, options: &LoadOptions) -> Result<Robot, Robo
     let mut numbers = HashMap::new();
     for element in root.all("link") {
         let name = element.need("name")?;
+        is_short(name).map_err(|problem| element.fail(problem))?;
         if numbers.insert(name.to_owned(), links.len()).is_some() {
             return Err(element.fail(Problem::duplicate("link", name)));
         }

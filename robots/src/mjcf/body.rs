@@ -2,18 +2,18 @@
 
 use std::collections::{HashMap, HashSet};
 use std::path::PathBuf;
+use std::rc::Rc;
 
 use nalgebra::{Isometry3, Point3, UnitVector3, Vector3};
 
 use super::compiler::{Compiler, FromGeometry};
 use super::defaults::{Defaults, MAIN};
-use super::geometry::Loaded;
 use crate::error::{Problem, RobotError};
 use crate::inertia::{BELOW_0, Inertia, doubt, matrix};
-use crate::meshes::{MeshInertia, Meshes};
+use crate::meshes::{MeshFile, MeshInertia, Meshes};
 use crate::options::LoadOptions;
 use crate::robot::{JointKind, Link, RobotJoint};
-use crate::tree::{MOST_LINKS, Shapes};
+use crate::tree::{MOST_LINKS, Shapes, is_short};
 use crate::xml::Element;
 
 /// Notes, at most.
@@ -40,6 +40,13 @@ pub(super) struct Reader<'f> {
     pub(super) loaded: HashMap<String, Option<Loaded>>,
 }
 
+/// A mesh as geometries take it: with its own reference taken off.
+#[derive(Clone)]
+pub(super) struct Loaded {
+    pub(super) file: Rc<MeshFile>,
+    pub(super) scale: Vector3<f64>,
+}
+
 /// What a body's elements make of it.
 #[derive(Default)]
 pub(super) struct Parts<'f> {
@@ -48,11 +55,11 @@ pub(super) struct Parts<'f> {
     pub(super) weights: Vec<Inertia>,
     pub(super) friction: Option<f64>,
     inertial: Option<(&'f Element, Isometry3<f64>)>,
-    joints: Vec<(&'f Element, String, Isometry3<f64>)>,
-    bodies: Vec<(&'f Element, String, Isometry3<f64>)>,
-    pub(super) geometries: Vec<(&'f Element, String, Isometry3<f64>)>,
+    joints: Vec<(&'f Element, &'f str, Isometry3<f64>)>,
+    bodies: Vec<(&'f Element, &'f str, Isometry3<f64>)>,
+    pub(super) geometries: Vec<(&'f Element, &'f str, Isometry3<f64>)>,
     /// Those that are for pictures alone.
-    pub(super) later: Vec<(&'f Element, String, Isometry3<f64>)>,
+    pub(super) later: Vec<(&'f Element, &'f str, Isometry3<f64>)>,
 }
 
 impl<'f> Reader<'f> {
@@ -77,7 +84,7 @@ impl<'f> Reader<'f> {
             *first = world;
         }
         for (body, class, frame) in parts.bodies {
-            self.body(body, &class, &frame, 0)?;
+            self.body(body, class, &frame, 0)?;
         }
         Ok(())
     }
@@ -86,20 +93,20 @@ impl<'f> Reader<'f> {
     fn collect(
         &mut self,
         element: &'f Element,
-        class: &str,
+        class: &'f str,
         frame: &Isometry3<f64>,
         parts: &mut Parts<'f>,
     ) -> Result<(), RobotError> {
         for child in &element.children {
-            let around = child.get("childclass").unwrap_or(class).to_owned();
+            let around = child.get("childclass").unwrap_or(class);
             match child.tag.as_str() {
                 "frame" => {
                     let inner = frame * self.compiler.pose(child)?;
-                    self.collect(child, &around, &inner, parts)?;
+                    self.collect(child, around, &inner, parts)?;
                 }
                 "body" => parts.bodies.push((child, around, *frame)),
-                "geom" => parts.geometries.push((child, class.to_owned(), *frame)),
-                "joint" | "freejoint" => parts.joints.push((child, class.to_owned(), *frame)),
+                "geom" => parts.geometries.push((child, class, *frame)),
+                "joint" | "freejoint" => parts.joints.push((child, class, *frame)),
                 "inertial" if parts.inertial.is_some() => {
                     return Err(
                         child.fail(Problem::Duplicate { kind: "inertial", name: String::new() })
@@ -121,7 +128,7 @@ impl<'f> Reader<'f> {
     fn body(
         &mut self,
         element: &'f Element,
-        class: &str,
+        class: &'f str,
         frame: &Isometry3<f64>,
         parent: usize,
     ) -> Result<(), RobotError> {
@@ -132,6 +139,7 @@ impl<'f> Reader<'f> {
                 .find(|n| !self.names.contains(n))
                 .unwrap_or_default(),
         };
+        is_short(&name).map_err(|problem| element.fail(problem))?;
         if !self.names.insert(name.clone()) {
             return Err(element.fail(Problem::duplicate("body", &name)));
         }
@@ -163,7 +171,7 @@ impl<'f> Reader<'f> {
             *slot = link;
         }
         for (body, class, frame) in parts.bodies {
-            self.body(body, &class, &frame, own)?;
+            self.body(body, class, &frame, own)?;
         }
         Ok(())
     }

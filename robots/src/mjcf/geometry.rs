@@ -6,7 +6,7 @@ use std::rc::Rc;
 use nalgebra::{Isometry3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use rigidformer_runtime::mesh::{Group, TriangleMesh};
 
-use super::body::{Parts, Reader};
+use super::body::{Loaded, Parts, Reader};
 use super::compiler::from_z;
 use super::defaults::MAIN;
 use crate::error::{Problem, RobotError};
@@ -23,13 +23,6 @@ const DENSITY: f64 = 1000.0;
 const FRICTION: f64 = 1.0;
 /// Numbers of a mesh in the file itself, at most.
 const MOST_NUMBERS: usize = 3_000_000;
-
-/// A mesh as geometries take it: with its own reference taken off.
-#[derive(Clone)]
-pub(super) struct Loaded {
-    file: Rc<MeshFile>,
-    scale: Vector3<f64>,
-}
 
 /// When a geometry is looked at.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -60,7 +53,7 @@ impl<'f> Reader<'f> {
     fn geometry(
         &mut self,
         element: &'f Element,
-        class: &str,
+        class: &'f str,
         (frame, parts): (&Isometry3<f64>, &mut Parts<'f>),
         (is_world, weighs): (bool, bool),
         pass: Pass,
@@ -79,7 +72,7 @@ impl<'f> Reader<'f> {
         // Most meshes are for pictures alone, and large: they are read where nothing else shows the body.
         let counts = weighs && self.weighs(&own)?;
         if pass == Pass::First && kind == "mesh" && !touches && !counts {
-            parts.later.push((element, class.to_owned(), *frame));
+            parts.later.push((element, class, *frame));
             return Ok(());
         }
         let friction = own.up_to::<3>("friction")?.and_then(|all| all.first().copied());

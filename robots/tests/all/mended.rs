@@ -4,12 +4,13 @@ use std::fs;
 
 use nalgebra::{Point3, Vector3};
 use rigidformer_robots::{
-    JointKind, LoadOptions, MeshSetOptions, Robot, RobotError, SceneOptions, load_meshes,
-    load_robot_with, parse_robot,
+    JointKind, LoadOptions, MeshSetOptions, Robot, SceneOptions, load_meshes, load_robot_with,
+    parse_robot,
 };
 
-fn read(text: &str) -> Result<Robot, RobotError> {
-    parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default())
+fn read(text: &str) -> Result<Robot, String> {
+    let read = parse_robot("r.xml".as_ref(), text.as_bytes(), &LoadOptions::default());
+    read.map_err(|error| error.to_string())
 }
 
 fn world(bodies: &str) -> Robot {
@@ -17,7 +18,7 @@ fn world(bodies: &str) -> Robot {
 }
 
 fn refused(text: &str) -> String {
-    read(text).unwrap_err().to_string()
+    read(text).unwrap_err()
 }
 
 #[test]
@@ -113,6 +114,15 @@ fn classes_share_what_they_inherit() {
         "<mujoco><default><geom user='{text}' material='{text}'/>{classes}</default></mujoco>"
     );
     assert!(read(&many).is_ok());
+    let joints = "<joint/>".repeat(1000);
+    let named =
+        format!("<mujoco><worldbody><body name='{text}'>{joints}</body></worldbody></mujoco>");
+    assert!(refused(&named).contains("a name of more than 1024 bytes"));
+    let around = format!(
+        "<mujoco><worldbody><body childclass='{text}'>{}</body></worldbody></mujoco>",
+        "<geom size='1'/>".repeat(20_000)
+    );
+    assert!(refused(&around).contains("default class"));
 }
 
 #[test]
@@ -147,7 +157,7 @@ fn limits_count_where_they_rise() {
         assert!(!limited(free).unwrap(), "{free}");
     }
     for bad in ["0 0", "2 1"] {
-        let error = limited(&format!("range='{bad}' limited='true'")).unwrap_err().to_string();
+        let error = limited(&format!("range='{bad}' limited='true'")).unwrap_err();
         assert!(error.contains("a range that rises"), "{error}");
     }
     let urdf = "<robot name='r'><link name='a'/><link name='b'/><link name='c'/>\

@@ -250,6 +250,16 @@ mod tests {
         ] {
             assert!(table(&FILE.replace(good, bad)).is_err(), "{bad}");
         }
+        let (models, source) = (
+            r#""models": {"folder": "f", "models": []}"#,
+            r#""source": {"file": "f", "section": "s", "columns": []}"#,
+        );
+        for file in [
+            FILE.replace("\"machine\"", &format!("{models}, \"machine\"")),
+            format!(r#"{{"title": "T", {models}, {source}, "command": ["a"], "machine": "M"}}"#),
+        ] {
+            assert_eq!(table(&file).unwrap_err().to_string(), NEEDED);
+        }
     }
 
     #[test]

@@ -9,8 +9,8 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyTuple};
 use rigidformer_core::{
-    self as core, Compliance, JoinError, Limits, Observed, Physics, Posed, StepError, StepReport, UnitId,
-    Velocity,
+    self as core, Compliance, JoinError, Limits, Observed, Physics, Posed, StepError, StepReport,
+    UnitId, Velocity,
 };
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::kernels::Kernel;

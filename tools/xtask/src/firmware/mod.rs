@@ -221,7 +221,8 @@ fn weigh(
     slabs(board, &rollout, faults)
 }
 
-/// What the linker reserves for the slabs is what the const functions say on this machine.
+/// What the linker reserves for the slabs is what the const functions say on this machine, but for joints: this image has none, and
+/// this machine's builds have room for them.
 fn slabs(board: Board, rollout: &[u8], faults: &mut Vec<String>) -> Result<()> {
     let said = host("sizes")?;
     let words: Vec<&str> = said.split_whitespace().collect();
@@ -234,7 +235,8 @@ fn slabs(board: Board, rollout: &[u8], faults: &mut Vec<String>) -> Result<()> {
         let expected: Option<u64> =
             at.and_then(|at| words.get(at + 1)).and_then(|word| word.parse().ok());
         let found = elf::symbol_size(rollout, symbol)?;
-        if expected.is_none() || found != expected {
+        let is_right = if slab == "f32" { found <= expected } else { found == expected };
+        if expected.is_none() || found.is_none() || !is_right {
             faults.push(format!(
                 "{}: {symbol} has {found:?} bytes, the const functions say {expected:?}",
                 board.name()

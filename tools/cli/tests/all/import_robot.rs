@@ -87,7 +87,7 @@ fn options_without_an_effect_are_refused() {
     let [arm, ..] = files(folder.path());
     let out = folder.path().join("out.safetensors");
     let with = |input: &Path, options: &[&str], expected: &str| {
-        let command = [&["import-robot", path(input), "--out", path(&out)], options].concat();
+        let command = [&["import-robot", path(input), "--out", path(&out)][..], options].concat();
         fails(&command, 2, expected);
         assert!(!out.exists());
     };

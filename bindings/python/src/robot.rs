@@ -12,6 +12,7 @@ use crate::errors::OrRaise;
 use crate::interrupt::free;
 use crate::json::to_python;
 use crate::scene::Scene;
+use crate::whole;
 
 /// A robot, as its file describes it: links, and the joints between them. ``load_robot`` makes one.
 ///
@@ -119,7 +120,7 @@ impl Robot {
     fn scene(
         &self,
         py: Python<'_>,
-        points: usize,
+        #[pyo3(from_py_with = whole::points)] points: usize,
         positions: Option<Vec<f64>>,
         at: (f64, f64, f64),
         fixed_base: bool,

@@ -121,11 +121,23 @@ def wrong(random, sound):
     return SCALARS[random.integers(len(SCALARS))]
 
 
+ROBOT = """<mujoco><worldbody><body><geom type="box" size=".1 .1 .1"/>
+<body pos="0 0 .3"><joint axis="0 1 0"/><geom type="box" size=".05 .05 .2"/></body></body></worldbody></mujoco>"""
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+
+
 def sound_calls(nano, scene, folder, random):
     """All public calls: a name, what is called, and arguments that it takes."""
     world, first = falling(nano)
     second = world.add(rf.Unit(cube(), role="driven"), at(x=1.0, z=1.0))
     unit, plane, pose = rf.Unit(cube()), rf.Plane([0, 0, 1]), at(z=1.0)
+    hinged, hinge = falling(nano)
+    post = hinged.add(rf.Unit(cube(), role="fixed"), at(x=1.0, z=1.0))
+    hinged.join(hinge, post, np.zeros(3), np.zeros(3), kind="revolute", axis=(0, 0, 1))
+    (folder / "robot.xml").write_text(ROBOT)
+    (folder / "meshes").mkdir(exist_ok=True)
+    (folder / "meshes" / "tetrahedron.obj").write_text(TETRAHEDRON)
+    robot = rf.load_robot(folder / "robot.xml")
     start = rf.Start.of_scene(scene)
     (folder / "contact.toml").write_text('format = "rigidformer-contact"\nversion = 1\ngravity_factor = 0.5\n')
     units = len(scene.units)
@@ -194,6 +206,8 @@ def sound_calls(nano, scene, folder, random):
         "World.join": (
             world.join, {"unit": first, "parent": second, "pivot": np.zeros(3, f32), "parent_pivot": np.zeros(3, f32)}
         ),
+        "World.set_joint_target": (hinged.set_joint_target, {"id": hinge, "target": 0.1}),
+        "World.joint_position": (hinged.joint_position, {"id": hinge}),
         "World.unjoin": (world.unjoin, {"id": first}),
         "World.set_role": (world.set_role, {"id": first, "role": "fixed"}),
         "World.role": (world.role, {"id": first}),
@@ -219,6 +233,15 @@ def sound_calls(nano, scene, folder, random):
         "Dataset.embedded": (rf.Dataset.embedded, {}),
         "Dataset.scene": (rf.Dataset.embedded().scene, {"index": 0, "frames": 12}),
         "Dataset.scenes_of": (rf.Dataset.embedded().scenes_of, {"split": "test"}),
+        "load_robot": (rf.load_robot, {
+            "path": folder / "robot.xml", "package_paths": [], "skip_meshes": False, "merge_fixed": False, "balance": False,
+        }),
+        "load_meshes": (rf.load_meshes, {"folder": folder / "meshes", "density_kg_m3": 1000.0, "scale": 1.0}),
+        "Robot.describe": (robot.describe, {}),
+        "Robot.poses": (robot.poses, {"positions": [0.1]}),
+        "Robot.scene": (robot.scene, {
+            "points": 8, "positions": [0.1], "at": (0.0, 0.0, 1.0), "fixed_base": True, "principal_frames": False, "frame_rate_hz": 60.0,
+        }),
         "Scene": (rf.Scene, {
             "units": [unit, unit], "poses": np.stack([poses] * 4), "frame_rate_hz": 60.0, "gravity_m_s2": np.ones(3, f32),
             "contact_law": (0.03, "cone"), "planes": [plane], "commands": None, "soft_points": None, "bonds": [(0, 1, None)], "name": "s", "seed": 1,

@@ -28,12 +28,12 @@ pub use jacobi::{Svd, leading_svd};
 pub use points::{centre_of_mass, density_centre, farthest_point_order, radius};
 pub(crate) use points::{centre_of_mass_here, farthest_point_order_here, radius_here};
 pub use pose::Pose;
-#[cfg(feature = "robot")]
-pub(crate) use pose::columns;
 pub(crate) use pose::{
     POSE, direction, product, product_transposed, read_pose, rotate, rotate_back, swing,
     turn_between, turned, turned_by, write_pose,
 };
+#[cfg(feature = "robot")]
+pub(crate) use pose::{columns, rotation_of};
 pub(crate) use separation::{Hull, Precision, Separation, separation};
 pub(crate) use state::{COURSE, Course, STATE, State, half_turn, squared};
 

@@ -59,21 +59,7 @@ impl Pose {
 
     /// From an isometry of the reference frame, in which the unit's centre is `offset`.
     pub fn from_isometry(isometry: &Isometry3<f32>, offset: &Point3<f32>) -> Self {
-        let q = isometry.rotation.as_ref().coords;
-        let (x, y, z, w) = (q.x, q.y, q.z, q.w);
-        // A quaternion from a file is of unit length to rounding only.
-        let s = 2.0 / ((x * x + y * y) + (z * z + w * w));
-        let rotation = Matrix3::new(
-            1.0 - s * (y * y + z * z),
-            s * (x * y - w * z),
-            s * (x * z + w * y),
-            s * (x * y + w * z),
-            1.0 - s * (x * x + z * z),
-            s * (y * z - w * x),
-            s * (x * z - w * y),
-            s * (y * z + w * x),
-            1.0 - s * (x * x + y * y),
-        );
+        let rotation = rotation_of(&isometry.rotation.as_ref().coords.into());
         let centre = rotate(&rotation, &offset.coords) + isometry.translation.vector;
         Pose { rotation, centre }
     }
@@ -96,6 +82,23 @@ pub(crate) fn write_pose(pose: &Pose, row: &mut [f32]) {
     if let Some(row) = row.first_chunk_mut() {
         *row = [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32, r.m13, r.m23, r.m33, c.x, c.y, c.z];
     }
+}
+
+/// The rotation of a quaternion x, y, z, w.
+pub(crate) fn rotation_of([x, y, z, w]: &[f32; 4]) -> Matrix3<f32> {
+    // A quaternion from a file is of unit length to rounding only.
+    let s = 2.0 / ((x * x + y * y) + (z * z + w * w));
+    Matrix3::new(
+        1.0 - s * (y * y + z * z),
+        s * (x * y - w * z),
+        s * (x * z + w * y),
+        s * (x * y + w * z),
+        1.0 - s * (x * x + z * z),
+        s * (y * z - w * x),
+        s * (x * z - w * y),
+        s * (y * z + w * x),
+        1.0 - s * (x * x + y * y),
+    )
 }
 
 /// What [`write_pose`] wrote.

@@ -1,6 +1,6 @@
 //! Where a joint is, and what it lacks to hold.
 
-use crate::geometry::{dot, norm, product, rotate, turn_between};
+use crate::geometry::{dot, norm, product, rotate, rotation_of, turn_between};
 use crate::structure::link::{Above, Way};
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -64,19 +64,7 @@ pub(crate) fn axis_of(above: &Above, parents: &Matrix3<f32>) -> Vector3<f32> {
 
 /// The rotation of a unit in its parent's frame at position 0.
 fn rest(above: &Above) -> Matrix3<f32> {
-    let [x, y, z, w] = above.guide.rest;
-    let s = 2.0 / ((x * x + y * y) + (z * z + w * w));
-    Matrix3::new(
-        1.0 - s * (y * y + z * z),
-        s * (x * y - w * z),
-        s * (x * z + w * y),
-        s * (x * y + w * z),
-        1.0 - s * (x * x + z * z),
-        s * (y * z - w * x),
-        s * (x * z - w * y),
-        s * (y * z + w * x),
-        1.0 - s * (x * x + y * y),
-    )
+    rotation_of(&above.guide.rest)
 }
 
 /// A direction across an axis.

@@ -324,6 +324,11 @@ impl<'r> Trees<'r> {
     fn hold(&mut self, world: &World<'_>, bodies: &mut Bodies<'_>) {
         let still = &*bodies;
         self.solve(world, |trees, number, above| trees.missing_velocity(still, number, above));
+        self.change_velocities(world, bodies);
+    }
+
+    /// Adds what [`solve`](Self::solve) has found to the velocities of what moves.
+    fn change_velocities(&self, world: &World<'_>, bodies: &mut Bodies<'_>) {
         for place in 0..self.count {
             let Some((number, _, head)) = self.member(world.units, place) else { continue };
             if matches!(head.place, Place::Root | Place::Hangs) {
@@ -620,16 +625,7 @@ impl<'r> Trees<'r> {
                 break;
             }
             self.solve(world, |trees, number, _| trees.limbs.change(number));
-            for place in 0..self.count {
-                let Some((number, _, head)) = self.member(world.units, place) else { continue };
-                if matches!(head.place, Place::Root | Place::Hangs) {
-                    let change = self.limbs.change(number);
-                    let mut mover = bodies.mover(number);
-                    mover.velocity += change.way.cast::<f32>();
-                    mover.spin += change.turn.cast::<f32>();
-                    bodies.moves(number, &mover);
-                }
-            }
+            self.change_velocities(world, bodies);
         }
         self.drift(world, bodies, true);
     }

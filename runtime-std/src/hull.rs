@@ -120,6 +120,12 @@ impl ConvexHull {
         in_own_environment(|| self.planes.iter().map(height).fold(f32::NEG_INFINITY, f32::max))
     }
 
+    /// Outward normal of the face that is nearest to the origin, and how far beyond the origin it is: negative where the origin is
+    /// above it. The farthest one of those that it is above.
+    pub(crate) fn nearest_face(&self) -> Option<(Vector3<f32>, f32)> {
+        self.planes.iter().copied().min_by(|(_, a), (_, b)| a.total_cmp(b))
+    }
+
     /// Distance from a point inside to the nearest face, metres; 0 outside.
     pub fn depth_m(&self, point: &Point3<f32>) -> f32 {
         in_own_environment(|| self.depth_here(point))

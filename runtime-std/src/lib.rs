@@ -5,6 +5,7 @@
 //! | [`world`] | a simulator that owns model and memory, on the fastest kernels and all cores |
 //! | [`models`] | loads a packed model |
 //! | [`futures`] | many futures of one scene in lockstep |
+//! | [`group`] | several worlds in one space: robots, and what they push |
 //! | [`engine`] | which kernels, on how many threads |
 //! | [`kernels`] | the fastest arithmetic of this processor (`rigidformer-kernels`) |
 //! | [`threads`] | kernels on several threads |
@@ -28,6 +29,7 @@ pub use rigidformer_kernels as kernels;
 pub mod engine;
 pub mod files;
 pub mod futures;
+pub mod group;
 pub mod hull;
 pub mod memory;
 #[cfg(feature = "meshes")]

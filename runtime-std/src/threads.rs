@@ -85,6 +85,11 @@ impl Threads {
         Threads { count: (self.count / sharers.max(1)).max(1), ..self }
     }
 
+    /// The same, or fewer where `others` are fewer.
+    pub(crate) fn at_most(self, others: Threads) -> Self {
+        Threads { count: self.count.min(others.count), ..self }
+    }
+
     /// How many.
     pub fn count(self) -> usize {
         self.count

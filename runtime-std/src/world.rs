@@ -12,7 +12,7 @@ use self_cell::{MutBorrow, self_cell};
 use crate::engine::Engine;
 use crate::kernels::{HostKernels, KernelError, Run};
 use crate::models::LoadedModel;
-use crate::threads::Threaded;
+use crate::threads::{Threaded, Threads};
 
 /// A simulator that owns its model and memory, so that a struct can hold it and a thread can take it.
 ///
@@ -78,6 +78,13 @@ impl Snapshot {
     pub fn from_bytes(bytes: Vec<u8>) -> Self {
         Snapshot { bytes }
     }
+}
+
+/// What a world goes back to where a step with others fails.
+#[derive(Default)]
+pub(crate) struct Undo {
+    bytes: Vec<u8>,
+    stepped: Vec<Stepped>,
 }
 
 /// What the simulator borrows.
@@ -312,6 +319,31 @@ impl World {
     /// [`StepError`]; the scene is what it was.
     pub fn step_traced(&mut self, trace: &mut (dyn Trace + Send)) -> Result<StepReport, StepError> {
         self.run(Some(trace))
+    }
+
+    /// As [`step`](Self::step), on no more than so many of its threads.
+    pub(crate) fn step_within(&mut self, threads: Threads) -> Result<StepReport, StepError> {
+        let own = self.engine;
+        self.engine.threads = own.threads.at_most(threads);
+        let report = self.step();
+        self.engine = own;
+        report
+    }
+
+    /// Keeps what [`undo`](Self::undo) needs, in the memory of the time before.
+    pub(crate) fn remember(&self, undo: &mut Undo) {
+        let simulator = self.simulator();
+        undo.bytes.resize(simulator.snapshot_bytes(), 0);
+        let written = simulator.snapshot(&mut undo.bytes);
+        debug_assert_eq!(written, Ok(undo.bytes.len()), "there is room for all of it");
+        undo.stepped.clone_from(&self.stepped);
+    }
+
+    /// Goes back to what it was when that was remembered, to the bit.
+    pub(crate) fn undo(&mut self, undo: &Undo) {
+        let restored = self.edit(|simulator| simulator.restore(&undo.bytes));
+        debug_assert_eq!(restored, Ok(()), "it held that state before");
+        self.stepped.clone_from(&undo.stepped);
     }
 
     fn run(&mut self, trace: Option<&mut (dyn Trace + Send)>) -> Result<StepReport, StepError> {

@@ -34,6 +34,7 @@ pub(crate) use pose::{
 };
 #[cfg(feature = "robot")]
 pub(crate) use pose::{columns, rotation_of};
+pub use separation::hull_distance;
 pub(crate) use separation::{Hull, Precision, Separation, separation};
 pub(crate) use state::{COURSE, Course, STATE, State, half_turn, squared};
 

@@ -2,7 +2,8 @@
 
 use super::pose::{rotate_back_here, rotate_here};
 use super::{dot, norm, opposite};
-use nalgebra::{Matrix3, Point3, Vector3};
+use crate::kernels::in_own_environment;
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 /// Support points that a search takes at most; most take five.
 const ITERATIONS: usize = 24;
@@ -145,6 +146,38 @@ mod farthest_points {
             }
         }
     }
+}
+
+/// Distance between the convex hulls of two sets of points, each in a frame of its own, in the points' unit of length. `None` where
+/// they overlap, and where one has no point.
+///
+/// ```
+/// use nalgebra::{Isometry3, Point3};
+/// use rigidformer_core::geometry::hull_distance;
+/// let corner = |i: i32, bit| if i & bit == 0 { -0.5 } else { 0.5 };
+/// let cube = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4)));
+/// let (here, there) = (Isometry3::identity(), Isometry3::translation(1.25, 0.0, 0.1));
+/// let apart = hull_distance([(&cube, &here), (&cube, &there)]).ok_or("they overlap")?;
+/// assert!((apart - 0.25).abs() < 1e-5);
+/// assert_eq!(hull_distance([(&cube, &here), (&cube, &here)]), None);
+/// # Ok::<(), &str>(())
+/// ```
+pub fn hull_distance(posed: [(&[Point3<f32>], &Isometry3<f32>); 2]) -> Option<f32> {
+    in_own_environment(|| {
+        let [(a, from), (b, to)] = posed;
+        let reach = |points: &[Point3<f32>]| {
+            points.iter().fold(0.0_f32, |most, point| most.max(norm(&point.coords)))
+        };
+        let precision = Precision::fine(reach(a) + reach(b));
+        let rotation = |pose: &Isometry3<f32>| pose.rotation.to_rotation_matrix().into_inner();
+        let [a, b] =
+            [(a, from), (b, to)].map(|(points, pose)| Hull { points, rotation: rotation(pose) });
+        if a.points.is_empty() || b.points.is_empty() {
+            return None;
+        }
+        let apart = from.translation.vector - to.translation.vector;
+        separation([&a, &b], &apart, &apart, &precision).map(|found| found.distance)
+    })
 }
 
 /// How far apart two hulls are.

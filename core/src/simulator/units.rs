@@ -56,6 +56,16 @@ impl<'a> UnitView<'a> {
         })
     }
 
+    /// Where a driven unit goes in the next step ([`Simulator::drive`]): its pose then. None of others.
+    pub fn target(&self) -> Option<Isometry3<f32>> {
+        let driven = self.unit.role == Role::Driven;
+        driven.then(|| {
+            in_own_environment(|| {
+                self.measure().outward_isometry(&self.unit.driven(), &self.unit.offset)
+            })
+        })
+    }
+
     /// As [`pose`](Self::pose), a step earlier, if it has flown as its motion in the last substep says: with `pose` it is that
     /// motion to [`set_poses`](Simulator::set_poses). What lies still counts as having risen against gravity.
     pub fn previous_pose(&self) -> Isometry3<f32> {

@@ -3,6 +3,7 @@
 
 mod environment;
 mod futures;
+mod group;
 mod start;
 mod threads;
 mod world;

@@ -1,0 +1,244 @@
+//! Several walking robots in one space: what walking past each other does to their paths, what seeing each other does to their
+//! accuracy, and what it costs.
+//!
+//! `several SCENES [MODEL] [SCENES_MEASURED]`: a scene file of G1 walks (docs/ROBOTS.md), `weights/models/g1.rfm` unless told otherwise.
+
+use std::env;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use nalgebra::{Isometry3, Vector3};
+use rigidformer_evaluation::metrics::{FrameErrors, frame_errors, mean};
+use rigidformer_evaluation::pivots::joined;
+use rigidformer_evaluation::robots::leader;
+use rigidformer_evaluation::rollout::Trajectory;
+use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
+use rigidformer_runtime::core::{Limits, Plane, Posed};
+use rigidformer_runtime::group::{Group, MemberId, Sight};
+use rigidformer_runtime::models::LoadedModel;
+use rigidformer_runtime::pivots;
+use rigidformer_runtime::poses::heading;
+use rigidformer_runtime::world::World;
+
+/// Frames of a step, at 30 a second.
+const STEP: usize = 10;
+/// Frames of a walk that are predicted.
+const LAST: usize = 300;
+/// Metres between the paths of two that walk past each other.
+const ASIDE_M: f32 = 0.8;
+/// Sights that are compared, metres.
+const SIGHTS_M: [f32; 4] = [0.0, 0.3, 1.0, 3.0];
+
+type Outcome<T> = Result<T, Box<dyn Error>>;
+
+fn main() -> Outcome<()> {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let path = arguments.first().ok_or("several SCENES [MODEL] [SCENES_MEASURED]")?;
+    let shipped = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../weights/models/g1.rfm");
+    let model = arguments.get(1).map_or_else(shipped, PathBuf::from);
+    let model = LoadedModel::open(&model)?.for_host()?;
+    let dataset = Dataset::open(Path::new(path))?;
+    let count = arguments.get(2).map_or(Ok(dataset.len()), |count| count.parse())?;
+    let scenes =
+        (0..dataset.len().min(count)).map(|scene| Ok(joined(dataset.scene(scene, None)?, STEP)?));
+    let scenes = scenes.collect::<Outcome<Vec<_>>>()?;
+    let [one, .., other] = scenes.as_slice() else { return Err("give two walks or more".into()) };
+    past(&model, [one, other])?;
+    accuracy(&model, &scenes)?;
+    cost(&model, one)
+}
+
+/// A world with a robot that starts at a place, with room for others.
+fn robot(
+    model: &LoadedModel,
+    scene: &RecordedScene,
+    at: &Isometry3<f32>,
+    others: usize,
+) -> Outcome<World> {
+    let too_short = "the scene is too short";
+    let poses = [0, STEP].map(|frame| scene.poses_at(frame).ok_or(too_short));
+    let [previous, current] = poses;
+    let units: Vec<Posed<'_>> = scene
+        .units()
+        .iter()
+        .zip(previous?.into_iter().zip(current?))
+        .map(|(unit, (previous, current))| Posed {
+            unit: unit.as_unit(),
+            previous: at * previous,
+            current: at * current,
+        })
+        .collect();
+    let limits =
+        Limits { units: units.len() * (1 + others), points: scene.points() * (1 + others) };
+    let mut world = World::new(model, limits)?;
+    world.edit(|simulator| {
+        simulator.set_gravity(scene.gravity_m_s2())?;
+        simulator.set_planes(scene.planes().unwrap_or(&[Plane::ground(0.0, 0.0)]))?;
+        simulator.observe_poses(STEP as f32 / scene.frame_rate_hz(), &units)?;
+        pivots::hold(simulator, scene.pivots())?;
+        simulator.set_command(&vec![0.0; scene.command_size()])?;
+        Ok::<_, Box<dyn Error>>(())
+    })?;
+    Ok(world)
+}
+
+/// What carries a robot's first heading to a place and a direction, in turns.
+fn placed(scene: &RecordedScene, x: f32, y: f32, turns: f32) -> Outcome<Isometry3<f32>> {
+    let link = leader(scene).ok_or("no robot")?;
+    let from = heading(scene.pose(STEP, link).ok_or("too short")?);
+    let turn = Isometry3::rotation(Vector3::z() * (std::f32::consts::TAU * turns));
+    Ok(Isometry3::translation(x, y, 0.0) * turn * from.inverse())
+}
+
+fn place(group: &Group, id: MemberId, link: usize) -> Outcome<Vector3<f32>> {
+    let unit = group.world(id).and_then(|world| world.simulator().unit(link));
+    Ok(unit.ok_or("no link")?.pose().translation.vector)
+}
+
+/// Two walk towards each other on paths that are some way apart.
+fn past(model: &LoadedModel, scenes: [&RecordedScene; 2]) -> Outcome<()> {
+    let at = [placed(scenes[0], 0.0, 0.0, 0.0)?, placed(scenes[1], 5.0, ASIDE_M, 0.5)?];
+    let link = leader(scenes[0]).ok_or("no robot")?;
+    let with = |members: &[usize], sight: Sight| -> Outcome<Vec<Vec<Vector3<f32>>>> {
+        let mut group = Group::new();
+        for number in members {
+            let world = robot(model, scenes[*number], &at[*number], 1)?;
+            let id = group.add(["east", "west"][*number], world)?;
+            group.set_command(id, &[0.5, 0.0, 0.0])?;
+            group.set_sight(id, sight)?;
+        }
+        let mut paths = vec![Vec::new(); members.len()];
+        let (mut nearest, mut seen) = (f32::INFINITY, 0);
+        for step in 0..=LAST / STEP {
+            if step > 0 {
+                seen += group.step()?.iter().map(|report| report.seen).sum::<usize>();
+                let gaps = group.gaps_in_step(1.0)?;
+                nearest = gaps.first().map_or(nearest, |gap| nearest.min(gap.gap_m));
+            }
+            for (path, id) in paths.iter_mut().zip(group.ids()) {
+                path.push(place(&group, id, link)?);
+            }
+        }
+        if members.len() > 1 {
+            println!("{sight:?}: least gap {nearest:.3} m, {seen} units seen in all");
+        }
+        Ok(paths)
+    };
+    let alone = [with(&[0], Sight::Nothing)?.remove(0), with(&[1], Sight::Nothing)?.remove(0)];
+    let blind = with(&[0, 1], Sight::Nothing)?;
+    let seeing = with(&[0, 1], Sight::Within(1.0))?;
+    println!(
+        "time s | east alone x y | together | seeing | west alone x y | together | seeing | apart m"
+    );
+    for sample in (0..=LAST / STEP).step_by(3) {
+        let cell = |path: &[Vector3<f32>]| format!("{:6.2} {:6.2}", path[sample].x, path[sample].y);
+        let apart = (blind[0][sample] - blind[1][sample]).xy().norm();
+        println!(
+            "{:5.1} | {} | {} | {} | {} | {} | {} | {apart:.2}",
+            sample as f32 * STEP as f32 / 30.0,
+            cell(&alone[0]),
+            cell(&blind[0]),
+            cell(&seeing[0]),
+            cell(&alone[1]),
+            cell(&blind[1]),
+            cell(&seeing[1])
+        );
+    }
+    let same = alone.iter().zip(&blind).all(|(alone, together)| alone == together);
+    println!("without sight the paths are {}", if same { "the same to the bit" } else { "OTHERS" });
+    Ok(())
+}
+
+/// Errors of recorded walks beside another robot, which walks beside it.
+fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
+    println!(
+        "errors beside another walk that begins {ASIDE_M} m aside, metres / degrees at frames 50, 100, 200, 300; units seen a step"
+    );
+    let sights = [None].into_iter().chain(SIGHTS_M.map(Some));
+    for sight in sights {
+        let mut all: [Vec<FrameErrors>; 4] = Default::default();
+        let (mut seen, mut steps) = (0, 0);
+        for (number, scene) in scenes.iter().enumerate() {
+            let other = &scenes[(number + 1) % scenes.len()];
+            let link = leader(scene).ok_or("no robot")?;
+            let here = heading(scene.pose(STEP, link).ok_or("too short")?);
+            let there = here * placed(other, 0.0, ASIDE_M, 0.0)?;
+            let mut group = Group::new();
+            let one = group.add("one", robot(model, scene, &Isometry3::identity(), 1)?)?;
+            let two = group.add("other", robot(model, other, &there, 1)?)?;
+            group.set_sight(one, sight.map_or(Sight::Nothing, Sight::Within))?;
+            let mut walk = Trajectory::new(0, STEP as u32, scene.poses_at(0).ok_or("too short")?);
+            walk.push(scene.poses_at(STEP).ok_or("too short")?);
+            for frame in (STEP..LAST).step_by(STEP) {
+                for (id, scene) in [(one, scene), (two, other)] {
+                    let command = scene.command_of_step(frame, frame + STEP).ok_or("no command")?;
+                    group.set_command(id, &command)?;
+                }
+                seen += group.step()?[0].seen;
+                steps += 1;
+                let world = group.world(one).ok_or("gone")?;
+                walk.push(world.simulator().units().map(|unit| unit.pose()));
+            }
+            for (all, frame) in all.iter_mut().zip([50, 100, 200, 300]) {
+                all.push(frame_errors(&walk, scene, frame).ok_or("no such frame")?);
+            }
+        }
+        let cells = all.map(|errors| {
+            let FrameErrors { position_m, orientation_rms_deg, .. } = mean(&errors);
+            format!("{position_m:.3}/{orientation_rms_deg:.2}")
+        });
+        let name = sight.map_or("nothing".into(), |sight| format!("within {sight} m"));
+        println!("sees {name:12}: {}; {:.1}", cells.join(" "), seen as f64 / steps as f64);
+    }
+    Ok(())
+}
+
+/// Milliseconds of a step of 1, 2, 4 and 8 robots, in turns: the median, and the median of the ratio to one in the same turn.
+fn cost(model: &LoadedModel, scene: &RecordedScene) -> Outcome<()> {
+    const TURNS: usize = 15;
+    const STEPS: usize = 10;
+    println!("cost of a step, {} threads", rayon_threads());
+    let cases = [(Sight::Nothing, 20.0), (Sight::Within(0.3), 20.0), (Sight::Within(0.3), ASIDE_M)];
+    for (sight, apart) in cases {
+        let mut times: [Vec<f64>; 4] = Default::default();
+        let mut seen = [0; 4];
+        for _ in 0..TURNS {
+            for ((count, times), seen) in [1, 2, 4, 8].into_iter().zip(&mut times).zip(&mut seen) {
+                let mut group = Group::new();
+                for number in 0..count {
+                    let at = placed(scene, 0.0, apart * number as f32, 0.0)?;
+                    let id = group.add(&number.to_string(), robot(model, scene, &at, 7)?)?;
+                    group.set_sight(id, sight)?;
+                    group.set_command(id, &[0.5, 0.0, 0.0])?;
+                }
+                group.step()?;
+                let begin = Instant::now();
+                for _ in 0..STEPS {
+                    *seen = group.step()?.iter().map(|report| report.seen).sum();
+                }
+                times.push(begin.elapsed().as_secs_f64() * 1e3 / STEPS as f64);
+            }
+        }
+        let ratio = |times_of: &[f64], ones: &[f64]| {
+            median(times_of.iter().zip(ones).map(|(many, one)| many / one).collect())
+        };
+        for ((count, of), seen) in [1, 2, 4, 8].iter().zip(&times).zip(seen) {
+            println!(
+                "{sight:?}, {apart} m apart, {count} robots: {:.2} ms, {:.2} times one; {seen} units seen",
+                median(of.clone()),
+                ratio(of, &times[0])
+            );
+        }
+    }
+    Ok(())
+}
+
+fn rayon_threads() -> usize {
+    rigidformer_runtime::threads::Threads::all().count()
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}

@@ -1,0 +1,608 @@
+//! Several worlds in one space, such as robots with a command and a model each, and the boxes that they push.
+
+mod error;
+mod gaps;
+mod presence;
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+use rigidformer_core::kernels::in_own_environment;
+use rigidformer_core::{Limits, Role, StepError, StepReport, Unit, UnitId};
+
+pub use error::GroupError;
+pub use gaps::Gap;
+use presence::Presence;
+
+use crate::pool;
+use crate::threads::Threads;
+use crate::world::{Undo, World};
+
+/// Beyond what they move in a step, metres within which members without a command see units of others.
+// Contact looks 0.03 m ahead (docs/MODEL.md, section 6); gravity adds to the way of what falls.
+const USUAL_SIGHT_M: f32 = 0.1;
+/// Times of a step that differ by a smaller share are one: 1 / 3 is not 10 / 30 to the bit.
+const SAME_TIME: f32 = 1e-5;
+
+/// Name of a member of a group, which no other member is ever given.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct MemberId(u64);
+
+impl MemberId {
+    /// As a number.
+    pub const fn to_bits(self) -> u64 {
+        self.0
+    }
+}
+
+/// Which units of other members a member sees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Sight {
+    /// None: it goes as it would alone.
+    Nothing,
+    /// Those whose bounding balls come so near its own units', metres, in the step.
+    Within(f32),
+}
+
+/// What a step did to a member.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MemberReport {
+    /// The member.
+    pub id: MemberId,
+    /// What its world reports, of its own units and those that it saw.
+    pub report: StepReport,
+    /// Units of other members that it saw.
+    pub seen: usize,
+}
+
+/// Several worlds in one space, which step together: robots, each with its model and command, and what they push.
+///
+/// Each member keeps its model, command, units, planes and network, on or off ([`World::set_network`]). All have one time step. A
+/// member sees units of others that are near ([`Sight`]) as driven units, in this step alone; between steps a member's world has its
+/// own units and nothing else. Nothing pushes back: what one world sees of another is where it goes.
+///
+/// | order | members | see of the others |
+/// |---|---|---|
+/// | first | those whose model takes a command | where driven units are told to go; others where they go if they go on as in the last step, a robot's links with its heading |
+/// | then | those without | of the first ones where this step takes them, without delay; of each other as above |
+///
+/// Members of one order are independent within a step, so that threads share them, and no result depends on the threads. Bodies that
+/// push each other both ways belong in one world. Others see a unit as the hull of its points, also where it has pieces.
+/// Members with commands see nothing unless [`set_sight`](Self::set_sight) says so, since robots' models were trained alone
+/// (docs/ROBOTS.md): they do not avoid each other, and walk through each other where their commands cross. [`gaps`](Self::gaps) says
+/// who touches whom.
+///
+/// ```
+/// use nalgebra::{Isometry3, Point3};
+/// use rigidformer_runtime::core::{Limits, Physics, Role, Unit};
+/// use rigidformer_runtime::group::Group;
+/// use rigidformer_runtime::models::LoadedModel;
+/// use rigidformer_runtime::world::World;
+///
+/// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+/// let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+/// let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+/// let wood = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.1 };
+/// let world = |role, x| -> Result<_, Box<dyn std::error::Error>> {
+///     let mut world = World::new(&model, Limits { units: 4, points: 64 })?;
+///     world.set_dt(1.0 / 24.0)?;
+///     let id = world.add(&Unit::new(&corners, wood).role(role), &Isometry3::translation(x, 0.0, 0.1))?;
+///     Ok((world, id))
+/// };
+/// let ((hand, pusher), (table, cube)) = (world(Role::Driven, -0.3)?, world(Role::Free, 0.0)?);
+///
+/// let mut group = Group::new();
+/// let hand = group.add("hand", hand)?;
+/// let table = group.add("table", table)?;
+/// for step in 1..=12 {
+///     let target = Isometry3::translation(-0.3 + 0.02 * step as f32, 0.0, 0.1);
+///     group.world_mut(hand).ok_or("no hand")?.drive(pusher, &target)?;
+///     group.step()?;
+/// }
+/// let pushed = group.world(table).and_then(|world| world.pose(cube)).ok_or("no cube")?;
+/// assert!(pushed.translation.x > 0.1, "{pushed}");
+/// let gap = group.gaps(0.1)?[0];
+/// assert!(gap.units == [pusher, cube] && gap.gap_m.abs() < 0.05, "{gap:?}");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Group {
+    threads: Threads,
+    members: Vec<Member>,
+    next: u64,
+}
+
+struct Member {
+    id: MemberId,
+    name: String,
+    world: World,
+    sight: Sight,
+    undo: Undo,
+}
+
+impl Member {
+    /// Whether it moves before those that have no command.
+    fn is_commanded(&self) -> bool {
+        self.world.model().model().config().command_size > 0
+    }
+
+    /// The world's time step, where the world can be a member's.
+    fn check(name: &str, world: &World) -> Result<f32, GroupError> {
+        let (name, simulator) = (|| name.to_owned(), world.simulator());
+        let copies = simulator.copies();
+        if copies > 1 {
+            return Err(GroupError::Copies { name: name(), copies });
+        }
+        simulator.dt_s().ok_or_else(|| GroupError::NoTimestep { name: name() })
+    }
+}
+
+/// A unit of another member, as a world takes it in for a step.
+struct Guest {
+    presence: Presence,
+    /// Number of its member.
+    of: usize,
+    body: Option<u16>,
+    unit: OwnUnit,
+}
+
+/// What a unit is, in memory of its own.
+struct OwnUnit {
+    points: Vec<rigidformer_core::nalgebra::Point3<f32>>,
+    physics: rigidformer_core::Physics,
+    compliance: rigidformer_core::Compliance,
+}
+
+/// A member's part in a step.
+struct Job<'g> {
+    member: &'g mut Member,
+    guests: Vec<&'g Guest>,
+    names: &'g [String],
+    outcome: Option<Result<MemberReport, GroupError>>,
+}
+
+impl Default for Group {
+    fn default() -> Self {
+        Group::new()
+    }
+}
+
+impl Group {
+    /// Nobody, on all threads.
+    pub fn new() -> Self {
+        Group::on(Threads::all())
+    }
+
+    /// Nobody, on so many threads: they share the members of a step, and what is left of them the work of each, within its own
+    /// engine's threads. No result depends on it.
+    pub fn on(threads: Threads) -> Self {
+        Group { threads, members: Vec::new(), next: 0 }
+    }
+
+    /// Takes a world in as a member, behind the others. One whose model takes a command sees [nothing](Sight::Nothing), as one of soft
+    /// bodies; others see [what they may touch](Sight::Within).
+    ///
+    /// # Errors
+    /// [`GroupError`], where the name is taken or empty, or the world has no time step, another one or copies.
+    pub fn add(&mut self, name: &str, world: World) -> Result<MemberId, GroupError> {
+        if name.is_empty() {
+            return Err(GroupError::NoName);
+        }
+        if self.find(name).is_some() {
+            return Err(GroupError::NameTaken { name: name.to_owned() });
+        }
+        self.check_time(name, Member::check(name, &world)?, None)?;
+        let id = MemberId(self.next);
+        let mut member = Member {
+            id,
+            name: name.to_owned(),
+            world,
+            sight: Sight::Nothing,
+            undo: Undo::default(),
+        };
+        if !member.is_commanded() && !is_soft(&member.world) {
+            member.sight = Sight::Within(USUAL_SIGHT_M);
+        }
+        self.members.push(member);
+        self.next += 1;
+        Ok(id)
+    }
+
+    /// Takes a member out of the group; the others go on as if it had never been there.
+    ///
+    /// # Errors
+    /// [`GroupError::NoSuchMember`].
+    pub fn remove(&mut self, id: MemberId) -> Result<World, GroupError> {
+        let number = self.number(id)?;
+        Ok(self.members.remove(number).world)
+    }
+
+    /// Members.
+    pub fn len(&self) -> usize {
+        self.members.len()
+    }
+
+    /// Whether there is no member.
+    pub fn is_empty(&self) -> bool {
+        self.members.is_empty()
+    }
+
+    /// All members, in the order in which they came.
+    pub fn ids(&self) -> impl Iterator<Item = MemberId> {
+        self.members.iter().map(|member| member.id)
+    }
+
+    /// The member of a name.
+    pub fn find(&self, name: &str) -> Option<MemberId> {
+        self.members.iter().find(|member| member.name == name).map(|member| member.id)
+    }
+
+    /// What a member is called.
+    pub fn name(&self, id: MemberId) -> Option<&str> {
+        self.member(id).map(|member| member.name.as_str())
+    }
+
+    /// A member's world, with its own units alone.
+    pub fn world(&self, id: MemberId) -> Option<&World> {
+        self.member(id).map(|member| &member.world)
+    }
+
+    /// A member's world, to change it between steps. Stepping it lets it go ahead of the others.
+    pub fn world_mut(&mut self, id: MemberId) -> Option<&mut World> {
+        let member = self.members.iter_mut().find(|member| member.id == id);
+        member.map(|member| &mut member.world)
+    }
+
+    /// Seconds of a step; none before there is a member.
+    pub fn dt_s(&self) -> Option<f32> {
+        self.members.first()?.world.simulator().dt_s()
+    }
+
+    /// Gives a member the command of all following steps.
+    ///
+    /// # Errors
+    /// [`GroupError::NoSuchMember`], or [`GroupError::Command`] where the model takes no such command; the command is what it was.
+    pub fn set_command(&mut self, id: MemberId, command: &[f32]) -> Result<(), GroupError> {
+        let number = self.number(id)?;
+        let Member { name, world, .. } = &mut self.members[number];
+        let set = world.edit(|simulator| simulator.set_command(command));
+        set.map_err(|source| GroupError::Command { name: name.clone(), source })
+    }
+
+    /// Which units of others a member sees.
+    pub fn sight(&self, id: MemberId) -> Option<Sight> {
+        self.member(id).map(|member| member.sight)
+    }
+
+    /// Says which units of others a member sees, from the next step on. Its world needs room for them
+    /// ([`Limits`]), and each costs as much as one of its own.
+    ///
+    /// # Errors
+    /// [`GroupError::NoSuchMember`], [`GroupError::Distance`] or [`GroupError::Soft`]; the sight is what it was.
+    pub fn set_sight(&mut self, id: MemberId, sight: Sight) -> Result<(), GroupError> {
+        let number = self.number(id)?;
+        let member = &mut self.members[number];
+        if let Sight::Within(distance_m) = sight {
+            check_distance(distance_m)?;
+            if is_soft(&member.world) {
+                return Err(GroupError::Soft { name: member.name.clone() });
+            }
+        }
+        member.sight = sight;
+        Ok(())
+    }
+
+    /// Another group in the same state, to look ahead in: worlds with memory of their own, and the same ids.
+    ///
+    /// # Errors
+    /// [`GroupError::World`] where there is no memory for it.
+    pub fn try_clone(&self) -> Result<Self, GroupError> {
+        let copy = |member: &Member| {
+            let failed = |source| GroupError::World { name: member.name.clone(), source };
+            let world = member.world.try_clone().map_err(failed)?;
+            let (id, name, sight) = (member.id, member.name.clone(), member.sight);
+            Ok(Member { id, name, world, sight, undo: Undo::default() })
+        };
+        let members = self.members.iter().map(copy).collect::<Result<_, _>>()?;
+        Ok(Group { threads: self.threads, members, next: self.next })
+    }
+
+    /// Advances all members by one step, and reports of each in their order.
+    ///
+    /// # Errors
+    /// [`GroupError`], of the first member that cannot step: all members are what they were.
+    pub fn step(&mut self) -> Result<Vec<MemberReport>, GroupError> {
+        in_own_environment(|| self.step_here())
+    }
+
+    fn step_here(&mut self) -> Result<Vec<MemberReport>, GroupError> {
+        // Worlds may have been changed since they came.
+        for member in &self.members {
+            let dt_s = Member::check(&member.name, &member.world)?;
+            self.check_time(&member.name, dt_s, Some(member.id))?;
+        }
+        let sees = |member: &Member| member.sight != Sight::Nothing;
+        let is_seen = self.members.len() > 1 && self.members.iter().any(sees);
+        let mut presences: Vec<Vec<Presence>> = match is_seen {
+            true => self.members.iter().map(|member| presence::presences(&member.world)).collect(),
+            false => vec![Vec::new(); self.members.len()],
+        };
+        // A world alone undoes its own step.
+        let undoes = self.members.len() > 1;
+        for member in self.members.iter_mut().filter(|_| undoes) {
+            member.world.remember(&mut member.undo);
+        }
+        let mut outcomes: Vec<Option<Result<MemberReport, GroupError>>> =
+            self.members.iter().map(|_| None).collect();
+        for commanded in [true, false] {
+            let failed = self.step_some(commanded, &presences, &mut outcomes);
+            if failed {
+                for (member, outcome) in self.members.iter_mut().zip(&outcomes) {
+                    // Also one that failed: it may have taken others' units in.
+                    if undoes && outcome.is_some() {
+                        member.world.undo(&member.undo);
+                    }
+                }
+                break;
+            }
+            for (member, presences) in self.members.iter().zip(&mut presences) {
+                if member.is_commanded() == commanded {
+                    presence::arrive(presences, &member.world);
+                }
+            }
+        }
+        outcomes.into_iter().flatten().collect()
+    }
+
+    /// Steps the members that have a command, or those that have none; whether any failed.
+    fn step_some(
+        &mut self,
+        commanded: bool,
+        presences: &[Vec<Presence>],
+        outcomes: &mut [Option<Result<MemberReport, GroupError>>],
+    ) -> bool {
+        let balls: Vec<_> = presences.iter().map(|units| presence::around(units)).collect();
+        let seen: Vec<Vec<(usize, usize)>> = self
+            .members
+            .iter()
+            .enumerate()
+            .map(|(number, member)| match member.is_commanded() == commanded {
+                true => seen_by(number, member.sight, presences, &balls),
+                false => Vec::new(),
+            })
+            .collect();
+        // Each unit once, however many see it.
+        let wanted: BTreeSet<(usize, usize)> = seen.iter().flatten().copied().collect();
+        let guests: Vec<((usize, usize), Guest)> = wanted
+            .into_iter()
+            .filter_map(|(of, unit)| {
+                let guest = guest(of, presences[of][unit], &self.members[of].world)?;
+                Some(((of, unit), guest))
+            })
+            .collect();
+        let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
+        let find = |place: &(usize, usize)| {
+            let at = guests.binary_search_by_key(place, |(place, _)| *place).ok()?;
+            Some(&guests[at].1)
+        };
+        let mut jobs: Vec<Job<'_>> = self
+            .members
+            .iter_mut()
+            .zip(&seen)
+            .filter(|(member, _)| member.is_commanded() == commanded)
+            .map(|(member, seen)| Job {
+                member,
+                guests: seen.iter().filter_map(find).collect(),
+                names: &names,
+                outcome: None,
+            })
+            .collect();
+        run(&mut jobs, self.threads);
+        let done: Vec<_> = jobs.into_iter().map(|job| (job.member.id, job.outcome)).collect();
+        let mut failed = false;
+        for (id, outcome) in done {
+            failed |= matches!(outcome, Some(Err(_)));
+            let number = self.members.iter().position(|member| member.id == id);
+            if let Some(slot) = number.and_then(|number| outcomes.get_mut(number)) {
+                *slot = outcome;
+            }
+        }
+        failed
+    }
+
+    /// All pairs of units of different members whose convex hulls are at most so far apart now, the nearest first; overlaps have
+    /// negative gaps. Links of a robot go where its model says, whatever is there: who plans asks here, and refuses.
+    ///
+    /// # Errors
+    /// [`GroupError::Distance`].
+    pub fn gaps(&self, within_m: f32) -> Result<Vec<Gap>, GroupError> {
+        check_distance(within_m)?;
+        Ok(in_own_environment(|| gaps::gaps(&self.members, within_m, false)))
+    }
+
+    /// As [`gaps`](Self::gaps), the least of each pair in the last step, in which units go straight from where they were to where they
+    /// are, and turn evenly. A step of 1/3 s is long enough to walk through somebody. Looks are at most 2 cm of motion apart, up to 64 of them.
+    ///
+    /// # Errors
+    /// As [`gaps`](Self::gaps).
+    pub fn gaps_in_step(&self, within_m: f32) -> Result<Vec<Gap>, GroupError> {
+        check_distance(within_m)?;
+        Ok(in_own_environment(|| gaps::gaps(&self.members, within_m, true)))
+    }
+
+    fn member(&self, id: MemberId) -> Option<&Member> {
+        self.members.iter().find(|member| member.id == id)
+    }
+
+    fn number(&self, id: MemberId) -> Result<usize, GroupError> {
+        let number = self.members.iter().position(|member| member.id == id);
+        number.ok_or(GroupError::NoSuchMember { id })
+    }
+
+    /// Whether steps of a member take as long as those of the first other one.
+    fn check_time(&self, name: &str, dt_s: f32, id: Option<MemberId>) -> Result<(), GroupError> {
+        let first = self.members.first().filter(|member| Some(member.id) != id);
+        let Some(group_dt_s) = first.and_then(|member| member.world.simulator().dt_s()) else {
+            return Ok(());
+        };
+        if (dt_s - group_dt_s).abs() <= SAME_TIME * group_dt_s {
+            return Ok(());
+        }
+        Err(GroupError::OtherTimestep { name: name.to_owned(), dt_s, group_dt_s })
+    }
+}
+
+fn is_soft(world: &World) -> bool {
+    world.model().model().config().motion.is_soft()
+}
+
+fn check_distance(distance_m: f32) -> Result<(), GroupError> {
+    match distance_m.is_finite() && distance_m >= 0.0 {
+        true => Ok(()),
+        false => Err(GroupError::Distance { distance_m }),
+    }
+}
+
+/// Units of others that a member sees, by their members' numbers and their own, in that order.
+fn seen_by(
+    number: usize,
+    sight: Sight,
+    presences: &[Vec<Presence>],
+    balls: &[Option<(rigidformer_core::nalgebra::Point3<f32>, f32)>],
+) -> Vec<(usize, usize)> {
+    let (Sight::Within(distance_m), Some((middle, radius))) = (sight, balls[number]) else {
+        return Vec::new();
+    };
+    let mut seen = Vec::new();
+    for (of, units) in presences.iter().enumerate().filter(|(of, _)| *of != number) {
+        let Some((place, reach)) = balls[of] else { continue };
+        // Members that are far away cost no more than this.
+        if (middle - place).norm() - (radius + reach) > distance_m {
+            continue;
+        }
+        for (unit, other) in units.iter().enumerate() {
+            if presences[number].iter().any(|own| own.room_m(other) <= distance_m) {
+                seen.push((of, unit));
+            }
+        }
+    }
+    seen
+}
+
+/// A unit of a member as others take it in; none where it is gone.
+fn guest(of: usize, presence: Presence, world: &World) -> Option<Guest> {
+    let unit = world.simulator().get(presence.id)?;
+    let pose = unit.pose();
+    let points = unit.points().map(|point| pose.inverse_transform_point(&point)).collect();
+    let (physics, compliance) = (unit.physics(), unit.compliance());
+    let unit_is = OwnUnit { points, physics, compliance };
+    Some(Guest { presence, of, body: unit.body(), unit: unit_is })
+}
+
+/// Steps all, on so many threads at most.
+fn run(jobs: &mut [Job<'_>], threads: Threads) {
+    let (count, sharers) = (threads.count(), jobs.len());
+    let each = threads.shared_by(sharers);
+    if count < 2 || sharers < 2 || !pool::is_there() {
+        return jobs.iter_mut().for_each(|job| job.run(each));
+    }
+    // rayon would use all threads of the pool, so shares bound how many work at a time.
+    let chunk = if count < Threads::all().count() { sharers.div_ceil(count) } else { 1 };
+    pool::enter(|| {
+        jobs.par_chunks_mut(chunk).for_each(|jobs| {
+            // A thread of the pool has what its creator had set.
+            in_own_environment(|| jobs.iter_mut().for_each(|job| job.run(each)));
+        });
+    });
+}
+
+impl Job<'_> {
+    fn run(&mut self, threads: Threads) {
+        self.outcome = Some(self.step(threads));
+    }
+
+    fn step(&mut self, threads: Threads) -> Result<MemberReport, GroupError> {
+        let seen = self.guests.len();
+        let guests = self.take_in()?;
+        let Member { id, name, world, .. } = &mut *self.member;
+        let stepped = world.step_within(threads);
+        // The last first: no other unit moves in memory.
+        for guest in guests.into_iter().rev() {
+            let removed = world.remove(guest);
+            debug_assert_eq!(removed, Ok(()), "it was taken in for this step");
+        }
+        match stepped {
+            Ok(report) => Ok(MemberReport { id: *id, report, seen }),
+            Err(source) => Err(GroupError::Step { name: name.clone(), source }),
+        }
+    }
+
+    /// Shows the world what it sees, behind its own units.
+    fn take_in(&mut self) -> Result<Vec<UnitId>, GroupError> {
+        let needed = self.needed();
+        let Member { name, world, .. } = &mut *self.member;
+        let limits = world.simulator().limits();
+        if needed.units > limits.units || needed.points > limits.points {
+            return Err(GroupError::Room { name: name.clone(), needed, limits });
+        }
+        if world.simulator().is_empty() {
+            let source = StepError::NoUnits;
+            return Err(GroupError::Step { name: name.clone(), source });
+        }
+        let mut bodies = Bodies::of(world);
+        let mut taken = Vec::with_capacity(self.guests.len());
+        for guest in &self.guests {
+            let Guest { presence, of, body, unit } = guest;
+            let mut shown = Unit::new(&unit.points, unit.physics).compliance(unit.compliance);
+            shown.role = if presence.role == Role::Fixed { Role::Fixed } else { Role::Driven };
+            shown.body = body.and_then(|body| bodies.numbered(*of, body));
+            let shown = world.edit(|simulator| {
+                let id = simulator.add(&shown, &presence.before, &presence.now)?;
+                if shown.role == Role::Driven {
+                    simulator.drive(id, &presence.next)?;
+                }
+                Ok(id)
+            });
+            let failed = |source| GroupError::Seen {
+                name: name.clone(),
+                of: self.names[*of].clone(),
+                source,
+            };
+            taken.push(shown.map_err(failed)?);
+        }
+        Ok(taken)
+    }
+
+    /// Units and points that the world has to hold.
+    fn needed(&self) -> Limits {
+        let simulator = self.member.world.simulator();
+        let own: usize = simulator.units().map(|unit| unit.point_count()).sum();
+        let guests: usize = self.guests.iter().map(|guest| guest.unit.points.len()).sum();
+        Limits { units: simulator.len() + self.guests.len(), points: own + guests }
+    }
+}
+
+/// Numbers of bodies in a world that sees others' units.
+struct Bodies {
+    taken: BTreeSet<u16>,
+    /// Member, its number of the body, and the number here.
+    known: Vec<(usize, u16, u16)>,
+}
+
+impl Bodies {
+    fn of(world: &World) -> Self {
+        let taken = world.simulator().units().filter_map(|unit| unit.body()).collect();
+        Bodies { taken, known: Vec::new() }
+    }
+
+    /// The number of another member's body: links of one robot are parts of one body here too, and of no body of the world's own.
+    fn numbered(&mut self, of: usize, body: u16) -> Option<u16> {
+        let known = self.known.iter().find(|(member, number, _)| (*member, *number) == (of, body));
+        if let Some((_, _, here)) = known {
+            return Some(*here);
+        }
+        let here = (0..=u16::MAX).rev().find(|number| !self.taken.contains(number))?;
+        self.taken.insert(here);
+        self.known.push((of, body, here));
+        Some(here)
+    }
+}

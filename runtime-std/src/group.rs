@@ -252,6 +252,17 @@ impl Group {
         member.map(|member| &mut member.world)
     }
 
+    /// Gives a member another world, whole; the one that it had.
+    ///
+    /// # Errors
+    /// As [`add`](Self::add), or [`GroupError::NoSuchMember`]; the member keeps its world.
+    pub fn set_world(&mut self, id: MemberId, world: World) -> Result<World, GroupError> {
+        let number = self.number(id)?;
+        let name = &self.members[number].name;
+        self.check_time(name, Member::check(name, &world)?, Some(id))?;
+        Ok(std::mem::replace(&mut self.members[number].world, world))
+    }
+
     /// Seconds of a step; none before there is a member.
     pub fn dt_s(&self) -> Option<f32> {
         self.members.first()?.world.simulator().dt_s()
@@ -440,7 +451,7 @@ impl Group {
 
     /// Whether steps of a member take as long as those of the first other one.
     fn check_time(&self, name: &str, dt_s: f32, id: Option<MemberId>) -> Result<(), GroupError> {
-        let first = self.members.first().filter(|member| Some(member.id) != id);
+        let first = self.members.iter().find(|member| Some(member.id) != id);
         let Some(group_dt_s) = first.and_then(|member| member.world.simulator().dt_s()) else {
             return Ok(());
         };

@@ -28,6 +28,7 @@ mod bonds;
 mod copies;
 mod errors;
 mod futures;
+mod group;
 mod interrupt;
 mod json;
 mod locked;
@@ -56,6 +57,8 @@ mod _native {
     use super::copies::Copies;
     #[pymodule_export]
     use super::futures::{BatchSimulator, Futures, Start, VelocityNoise};
+    #[pymodule_export]
+    use super::group::{Gap, Group};
     #[pymodule_export]
     use super::model::Model;
     #[pymodule_export]

@@ -72,6 +72,16 @@ pub(crate) struct World {
 }
 
 impl World {
+    pub(crate) fn new_of(world: world::World, model: Py<Model>) -> Self {
+        World { world: Locked::new(world), model }
+    }
+
+    /// A copy of the world, and its model.
+    pub(crate) fn copied(&self, py: Python<'_>) -> PyResult<(world::World, Py<Model>)> {
+        let other = self.world.freely(py, |world| world.try_clone())?.or_raise()?;
+        Ok((other, self.model.clone_ref(py)))
+    }
+
     fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, world::World>> {
         self.world.lock(py)
     }
@@ -803,8 +813,8 @@ impl World {
     ///
     /// Source: ``runtime-std/src/world.rs``.
     fn copy(&self, py: Python<'_>) -> PyResult<Self> {
-        let other = self.world.freely(py, |world| world.try_clone())?.or_raise()?;
-        Ok(World { world: Locked::new(other), model: self.model.clone_ref(py) })
+        let (other, model) = self.copied(py)?;
+        Ok(World::new_of(other, model))
     }
 
     fn __copy__(&self, py: Python<'_>) -> PyResult<Self> {

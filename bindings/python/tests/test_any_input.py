@@ -138,6 +138,9 @@ def sound_calls(nano, scene, folder, random):
     (folder / "meshes").mkdir(exist_ok=True)
     (folder / "meshes" / "tetrahedron.obj").write_text(TETRAHEDRON)
     robot = rf.load_robot(folder / "robot.xml")
+    group = rf.Group(threads=1)
+    group.add("one", world)
+    group.add("other", hinged)
     start = rf.Start.of_scene(scene)
     (folder / "contact.toml").write_text('format = "rigidformer-contact"\nversion = 1\ngravity_factor = 0.5\n')
     units = len(scene.units)
@@ -175,6 +178,21 @@ def sound_calls(nano, scene, folder, random):
         }),
         "Unit.with_points": (unit.with_points, {"points": cube()}),
         "Plane": (rf.Plane, {"normal": np.array([0, 0, 1], f32), "offset_m": 0.0, "friction": 0.5, "restitution": 0.4}),
+        "Gap": (rf.Gap, {"members": ("one", "other"), "units": (1, 2), "gap_m": 0.1, "share": 1.0}),
+        "Group": (rf.Group, {"threads": 1}),
+        "Group.add": (group.add, {"name": "third", "world": world}),
+        "Group.remove": (group.remove, {"name": "third"}),
+        "Group.world": (group.world, {"name": "one"}),
+        "Group.set_world": (group.set_world, {"name": "one", "world": world}),
+        "Group.command": (group.command, {"name": "one", "command": np.zeros(0, f32)}),
+        "Group.drive": (group.drive, {"name": "one", "id": second, "pose": at(x=1.0, z=1.01)}),
+        "Group.set_sight": (group.set_sight, {"name": "one", "within_m": 0.1}),
+        "Group.sight": (group.sight, {"name": "one"}),
+        "Group.step": (group.step, {"steps": 1}),
+        "Group.poses": (group.poses, {"name": "one"}),
+        "Group.ids": (group.ids, {"name": "one"}),
+        "Group.gaps": (group.gaps, {"within_m": 0.1, "in_step": True}),
+        "Group.copy": (group.copy, {}),
         "World": (rf.World, {"model": nano, "units": 4, "points": 64, "threads": 1, "kernel": "portable"}),
         "World.observe": (world.observe, {"dt_s": 0.04, "units": [unit], "current": [cube()]}),
         "World.observe_poses": (

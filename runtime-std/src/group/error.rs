@@ -25,7 +25,7 @@ pub enum GroupError {
         id: MemberId,
     },
     /// A member's world has no time step.
-    #[error("{name}: its world has no time step yet; observe its units or set dt first")]
+    #[error("{name}: its world has no time step yet; observe its units, or give it one, first")]
     NoTimestep {
         /// The member.
         name: String,
@@ -39,7 +39,7 @@ pub enum GroupError {
         name: String,
         /// Seconds of its steps.
         dt_s: f32,
-        /// Seconds of the steps of the first member.
+        /// Seconds of the steps of the others.
         group_dt_s: f32,
     },
     /// A member's world has copies, and the group shows the first one alone.

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from ._native import Model, World
+from collections.abc import Sequence
+from typing import Optional
+
+from ._native import Group, Model, World
 
 
 def model(data: bytes, name: str) -> Model:
@@ -13,3 +16,11 @@ def world(model: Model, units: int, points: int, threads: int, snapshot: bytes) 
     world = World(model, units=units, points=points, threads=threads)
     world.restore(snapshot)
     return world
+
+
+def group(threads: Optional[int], members: Sequence[tuple[str, World, Optional[float]]]) -> Group:
+    group = Group(threads=threads)
+    for name, world, within_m in members:
+        group.add(name, world)
+        group.set_sight(name, within_m)
+    return group

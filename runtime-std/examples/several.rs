@@ -1,11 +1,13 @@
 //! Several walking robots in one space: what walking past each other does to their paths, what seeing each other does to their
 //! accuracy, and what it costs.
 //!
-//! `several SCENES [MODEL] [SCENES_MEASURED]`: a scene file of G1 walks (docs/ROBOTS.md), `weights/models/g1.rfm` unless told otherwise.
+//! `several walk SCENES [COUNT]`: a file of G1 walks, of which so many are measured. `several arm ARMS PUSHES`: files of the same
+//! pushes, without the cube and with it (docs/ROBOTS.md): an arm moves by its model, and a box that it pushes by impulses.
 
 use std::env;
 use std::error::Error;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::OnceLock;
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Vector3};
@@ -14,11 +16,12 @@ use rigidformer_evaluation::pivots::joined;
 use rigidformer_evaluation::robots::leader;
 use rigidformer_evaluation::rollout::Trajectory;
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
-use rigidformer_runtime::core::{Limits, Plane, Posed};
+use rigidformer_runtime::core::{Limits, Plane, Posed, Role};
 use rigidformer_runtime::group::{Group, MemberId, Sight};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::pivots;
 use rigidformer_runtime::poses::heading;
+use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
 
 /// Frames of a step, at 30 a second.
@@ -34,12 +37,22 @@ type Outcome<T> = Result<T, Box<dyn Error>>;
 
 fn main() -> Outcome<()> {
     let arguments: Vec<String> = env::args().skip(1).collect();
-    let path = arguments.first().ok_or("several SCENES [MODEL] [SCENES_MEASURED]")?;
-    let shipped = || Path::new(env!("CARGO_MANIFEST_DIR")).join("../weights/models/g1.rfm");
-    let model = arguments.get(1).map_or_else(shipped, PathBuf::from);
-    let model = LoadedModel::open(&model)?.for_host()?;
-    let dataset = Dataset::open(Path::new(path))?;
-    let count = arguments.get(2).map_or(Ok(dataset.len()), |count| count.parse())?;
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    match words[..] {
+        ["walk", scenes] => walk(Path::new(scenes), usize::MAX),
+        ["walk", scenes, count] => walk(Path::new(scenes), count.parse()?),
+        ["arm", arms, pushes] => arm(Path::new(arms), Path::new(pushes)),
+        _ => Err("several walk SCENES [COUNT], or: several arm ARMS PUSHES".into()),
+    }
+}
+
+fn shipped(name: &str) -> Outcome<LoadedModel> {
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../weights/models");
+    Ok(LoadedModel::open(&models.join(name))?.for_host()?)
+}
+
+fn walk(path: &Path, count: usize) -> Outcome<()> {
+    let (model, dataset) = (shipped("g1.rfm")?, Dataset::open(path)?);
     let scenes =
         (0..dataset.len().min(count)).map(|scene| Ok(joined(dataset.scene(scene, None)?, STEP)?));
     let scenes = scenes.collect::<Outcome<Vec<_>>>()?;
@@ -47,6 +60,77 @@ fn main() -> Outcome<()> {
     past(&model, [one, other])?;
     accuracy(&model, &scenes)?;
     cost(&model, one)
+}
+
+/// Errors of a cube that an arm pushes: the arm by its model, the cube by impulses, with the network of edge and without.
+fn arm(arms: &Path, pushes: &Path) -> Outcome<()> {
+    let (model, edge) = (shipped("arm.rfm")?, shipped("edge.rfm")?);
+    let (arms, pushes) = (Dataset::open(arms)?, Dataset::open(pushes)?);
+    println!(
+        "cube from where it was recorded, mm: median and 90 % of the scenes, at the end of the push; how far it moved; the last finger from where it was recorded"
+    );
+    for (by, predicts, network) in [
+        ("the recorded arm, impulses", false, false),
+        ("the recorded arm, edge", false, true),
+        ("the model's arm, impulses", true, false),
+        ("the model's arm, edge", true, true),
+    ] {
+        let (mut errors, mut ways, mut hands) = (Vec::new(), Vec::new(), Vec::new());
+        for number in 0..arms.len() {
+            let (scene, whole) = (arms.scene(number, None)?, pushes.scene(number, None)?);
+            let cube = whole.units().len() - 1;
+            let at = |frame| whole.pose(frame, cube).copied().ok_or("too short");
+            let mut group = Group::new();
+            let mut world = robot(&model, &scene, &Isometry3::identity(), 0)?;
+            if !predicts {
+                let links: Vec<_> = world.simulator().units().map(|unit| unit.id()).collect();
+                links.iter().skip(1).try_for_each(|id| {
+                    world.edit(|simulator| simulator.set_role(*id, Role::Driven))
+                })?;
+            }
+            let robot = group.add("arm", world)?;
+            let mut world = World::new(&edge, Limits { units: 16, points: 4096 })?;
+            world.set_dt(STEP as f32 / whole.frame_rate_hz())?;
+            world.set_gravity(whole.gravity_m_s2())?;
+            world.set_contact_law(whole.contact_law())?;
+            world.set_planes(whole.planes().unwrap_or(&[Plane::ground(1.0, 0.0)]))?;
+            world.set_network(network);
+            let id = world.add(&whole.units()[cube].as_unit(), &at(STEP)?)?;
+            let boxes = group.add("cube", world)?;
+            for frame in (STEP..LAST).step_by(STEP) {
+                let command = scene.command_of_step(frame, frame + STEP).ok_or("no command")?;
+                group.set_command(robot, &command)?;
+                let world = group.world_mut(robot).ok_or("gone")?;
+                let links: Vec<_> = world.simulator().units().map(|unit| unit.id()).collect();
+                for (number, link) in links.iter().enumerate().skip(1).filter(|_| !predicts) {
+                    world.drive(*link, scene.pose(frame + STEP, number).ok_or("too short")?)?;
+                }
+                group.step()?;
+            }
+            let found = group.world(boxes).and_then(|world| world.pose(id)).ok_or("gone")?;
+            let apart = |a: Isometry3<f32>, b: Isometry3<f32>| {
+                f64::from((a.translation.vector - b.translation.vector).norm()) * 1e3
+            };
+            errors.push(apart(found, at(LAST)?));
+            let hand = scene.units().len() - 1;
+            let found = group
+                .world(robot)
+                .and_then(|world| world.simulator().unit(hand))
+                .ok_or("gone")?
+                .pose();
+            hands.push(apart(found, *scene.pose(LAST, hand).ok_or("too short")?));
+            ways.push(apart(at(STEP)?, at(LAST)?));
+        }
+        errors.sort_by(f64::total_cmp);
+        println!(
+            "{by}: {:.1} {:.1}; {:.0}; {:.1}",
+            errors[errors.len() / 2],
+            errors[errors.len() * 9 / 10],
+            median(ways),
+            median(hands)
+        );
+    }
+    Ok(())
 }
 
 /// A world with a robot that starts at a place, with room for others.
@@ -196,46 +280,54 @@ fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
 
 /// Milliseconds of a step of 1, 2, 4 and 8 robots, in turns: the median, and the median of the ratio to one in the same turn.
 fn cost(model: &LoadedModel, scene: &RecordedScene) -> Outcome<()> {
-    const TURNS: usize = 15;
-    const STEPS: usize = 10;
-    println!("cost of a step, {} threads", rayon_threads());
+    const TURNS: usize = 9;
+    // Linux counts processor time in ticks of some milliseconds.
+    const STEPS: usize = 40;
+    println!("processor time of a step on one thread (Linux; elsewhere time by the clock)");
     let cases = [(Sight::Nothing, 20.0), (Sight::Within(0.3), 20.0), (Sight::Within(0.3), ASIDE_M)];
     for (sight, apart) in cases {
         let mut times: [Vec<f64>; 4] = Default::default();
         let mut seen = [0; 4];
         for _ in 0..TURNS {
             for ((count, times), seen) in [1, 2, 4, 8].into_iter().zip(&mut times).zip(&mut seen) {
-                let mut group = Group::new();
+                let mut group = Group::on(Threads::ONE);
                 for number in 0..count {
                     let at = placed(scene, 0.0, apart * number as f32, 0.0)?;
                     let id = group.add(&number.to_string(), robot(model, scene, &at, 7)?)?;
                     group.set_sight(id, sight)?;
                     group.set_command(id, &[0.5, 0.0, 0.0])?;
                 }
-                group.step()?;
-                let begin = Instant::now();
+                *seen = group.step()?.iter().map(|report| report.seen).sum();
+                let begin = processor_ms();
                 for _ in 0..STEPS {
-                    *seen = group.step()?.iter().map(|report| report.seen).sum();
+                    *seen += group.step()?.iter().map(|report| report.seen).sum::<usize>();
                 }
-                times.push(begin.elapsed().as_secs_f64() * 1e3 / STEPS as f64);
+                times.push((processor_ms() - begin) / STEPS as f64);
             }
         }
-        let ratio = |times_of: &[f64], ones: &[f64]| {
-            median(times_of.iter().zip(ones).map(|(many, one)| many / one).collect())
-        };
         for ((count, of), seen) in [1, 2, 4, 8].iter().zip(&times).zip(seen) {
             println!(
-                "{sight:?}, {apart} m apart, {count} robots: {:.2} ms, {:.2} times one; {seen} units seen",
+                "{sight:?}, {apart} m apart, {count} robots: {:.2} ms, {:.2} times one; {:.0} units seen a step",
                 median(of.clone()),
-                ratio(of, &times[0])
+                median(of.iter().zip(&times[0]).map(|(many, one)| many / one).collect()),
+                seen as f64 / (STEPS + 1) as f64,
             );
         }
     }
     Ok(())
 }
 
-fn rayon_threads() -> usize {
-    rigidformer_runtime::threads::Threads::all().count()
+/// Of this thread: what other programs take does not count.
+fn processor_ms() -> f64 {
+    static BEGIN: OnceLock<Instant> = OnceLock::new();
+    let of_linux = || {
+        let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+        text.split_whitespace().next()?.parse::<f64>().ok()
+    };
+    of_linux().map_or_else(
+        || BEGIN.get_or_init(Instant::now).elapsed().as_secs_f64() * 1e3,
+        |nanoseconds| nanoseconds * 1e-6,
+    )
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

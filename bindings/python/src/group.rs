@@ -487,7 +487,7 @@ impl Group {
     /// MemoryLimitError
     ///     There is no memory for it.
     fn copy(&self, py: Python<'_>) -> PyResult<Self> {
-        let mut members = self.group.lock(py)?;
+        let members = self.group.lock(py)?;
         let group = crate::interrupt::free(py, || members.group.try_clone())?.or_raise()?;
         let models = members.models.iter().map(|(id, model)| (*id, model.clone_ref(py)));
         let (models, threads) = (models.collect(), members.threads);

@@ -1,4 +1,4 @@
-//! Several walking robots in one space: what walking past each other does to their paths, what seeing each other does to their
+//! Several walking robots in one space: what walking past each other does to their paths, what neighbours do to their
 //! accuracy, and what it costs.
 //!
 //! `several walk SCENES [COUNT]`: a file of G1 walks, of which so many are measured. `several arm ARMS PUSHES`: files of the same
@@ -17,7 +17,7 @@ use rigidformer_evaluation::robots::leader;
 use rigidformer_evaluation::rollout::Trajectory;
 use rigidformer_evaluation::scenes::{Dataset, RecordedScene};
 use rigidformer_runtime::core::{Limits, Plane, Posed, Role};
-use rigidformer_runtime::group::{Group, MemberId, Sight};
+use rigidformer_runtime::group::{Group, MemberId};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::pivots;
 use rigidformer_runtime::poses::heading;
@@ -30,8 +30,8 @@ const STEP: usize = 10;
 const LAST: usize = 300;
 /// Metres between the paths of two that walk past each other.
 const ASIDE_M: f32 = 0.8;
-/// Sights that are compared, metres.
-const SIGHTS_M: [f32; 4] = [0.0, 0.3, 1.0, 3.0];
+/// Neighbour distances that are compared, metres.
+const DISTANCES_M: [f32; 4] = [0.0, 0.3, 1.0, 3.0];
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
 
@@ -184,19 +184,19 @@ fn place(group: &Group, id: MemberId, link: usize) -> Outcome<Vector3<f32>> {
 fn past(model: &LoadedModel, scenes: [&RecordedScene; 2]) -> Outcome<()> {
     let at = [placed(scenes[0], 0.0, 0.0, 0.0)?, placed(scenes[1], 5.0, ASIDE_M, 0.5)?];
     let link = leader(scenes[0]).ok_or("no robot")?;
-    let with = |members: &[usize], sight: Sight| -> Outcome<Vec<Vec<Vector3<f32>>>> {
+    let with = |members: &[usize], distance_m: Option<f32>| -> Outcome<Vec<Vec<Vector3<f32>>>> {
         let mut group = Group::new();
         for number in members {
             let world = robot(model, scenes[*number], &at[*number], 1)?;
             let id = group.add(["east", "west"][*number], world)?;
             group.set_command(id, &[0.5, 0.0, 0.0])?;
-            group.set_sight(id, sight)?;
+            group.set_neighbour_distance(id, distance_m)?;
         }
         let mut paths = vec![Vec::new(); members.len()];
-        let (mut nearest, mut seen) = (f32::INFINITY, 0);
+        let (mut nearest, mut found) = (f32::INFINITY, 0);
         for step in 0..=LAST / STEP {
             if step > 0 {
-                seen += group.step()?.iter().map(|report| report.seen).sum::<usize>();
+                found += group.step()?.iter().map(|report| report.neighbours).sum::<usize>();
                 let gaps = group.gaps_in_step(1.0)?;
                 nearest = gaps.first().map_or(nearest, |gap| nearest.min(gap.gap_m));
             }
@@ -205,15 +205,17 @@ fn past(model: &LoadedModel, scenes: [&RecordedScene; 2]) -> Outcome<()> {
             }
         }
         if members.len() > 1 {
-            println!("{sight:?}: least gap {nearest:.3} m, {seen} units seen in all");
+            println!(
+                "neighbours within {distance_m:?} m: least gap {nearest:.3} m, {found} neighbours in all"
+            );
         }
         Ok(paths)
     };
-    let alone = [with(&[0], Sight::Nothing)?.remove(0), with(&[1], Sight::Nothing)?.remove(0)];
-    let blind = with(&[0, 1], Sight::Nothing)?;
-    let seeing = with(&[0, 1], Sight::Within(1.0))?;
+    let alone = [with(&[0], None)?.remove(0), with(&[1], None)?.remove(0)];
+    let blind = with(&[0, 1], None)?;
+    let seeing = with(&[0, 1], Some(1.0))?;
     println!(
-        "time s | east alone x y | together | seeing | west alone x y | together | seeing | apart m"
+        "time s | east alone x y | together | neighbours | west alone x y | together | neighbours | apart m"
     );
     for sample in (0..=LAST / STEP).step_by(3) {
         let cell = |path: &[Vector3<f32>]| format!("{:6.2} {:6.2}", path[sample].x, path[sample].y);
@@ -230,19 +232,22 @@ fn past(model: &LoadedModel, scenes: [&RecordedScene; 2]) -> Outcome<()> {
         );
     }
     let same = alone.iter().zip(&blind).all(|(alone, together)| alone == together);
-    println!("without sight the paths are {}", if same { "the same to the bit" } else { "OTHERS" });
+    println!(
+        "without neighbours the paths are {}",
+        if same { "the same to the bit" } else { "OTHERS" }
+    );
     Ok(())
 }
 
 /// Errors of recorded walks beside another robot, which walks beside it.
 fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
     println!(
-        "errors beside another walk that begins {ASIDE_M} m aside, metres / degrees at frames 50, 100, 200, 300; units seen a step"
+        "errors beside another walk that begins {ASIDE_M} m aside, metres / degrees at frames 50, 100, 200, 300; neighbours a step"
     );
-    let sights = [None].into_iter().chain(SIGHTS_M.map(Some));
-    for sight in sights {
+    let distances = [None].into_iter().chain(DISTANCES_M.map(Some));
+    for distance_m in distances {
         let mut all: [Vec<FrameErrors>; 4] = Default::default();
-        let (mut seen, mut steps) = (0, 0);
+        let (mut found, mut steps) = (0, 0);
         for (number, scene) in scenes.iter().enumerate() {
             let other = &scenes[(number + 1) % scenes.len()];
             let link = leader(scene).ok_or("no robot")?;
@@ -251,7 +256,7 @@ fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
             let mut group = Group::new();
             let one = group.add("one", robot(model, scene, &Isometry3::identity(), 1)?)?;
             let two = group.add("other", robot(model, other, &there, 1)?)?;
-            group.set_sight(one, sight.map_or(Sight::Nothing, Sight::Within))?;
+            group.set_neighbour_distance(one, distance_m)?;
             let mut walk = Trajectory::new(0, STEP as u32, scene.poses_at(0).ok_or("too short")?);
             walk.push(scene.poses_at(STEP).ok_or("too short")?);
             for frame in (STEP..LAST).step_by(STEP) {
@@ -259,7 +264,7 @@ fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
                     let command = scene.command_of_step(frame, frame + STEP).ok_or("no command")?;
                     group.set_command(id, &command)?;
                 }
-                seen += group.step()?[0].seen;
+                found += group.step()?[0].neighbours;
                 steps += 1;
                 let world = group.world(one).ok_or("gone")?;
                 walk.push(world.simulator().units().map(|unit| unit.pose()));
@@ -272,8 +277,8 @@ fn accuracy(model: &LoadedModel, scenes: &[RecordedScene]) -> Outcome<()> {
             let FrameErrors { position_m, orientation_rms_deg, .. } = mean(&errors);
             format!("{position_m:.3}/{orientation_rms_deg:.2}")
         });
-        let name = sight.map_or("nothing".into(), |sight| format!("within {sight} m"));
-        println!("sees {name:12}: {}; {:.1}", cells.join(" "), seen as f64 / steps as f64);
+        let name = distance_m.map_or("none".into(), |distance| format!("within {distance} m"));
+        println!("neighbours {name:12}: {}; {:.1}", cells.join(" "), found as f64 / steps as f64);
     }
     Ok(())
 }
@@ -284,33 +289,34 @@ fn cost(model: &LoadedModel, scene: &RecordedScene) -> Outcome<()> {
     // Linux counts processor time in ticks of some milliseconds.
     const STEPS: usize = 40;
     println!("processor time of a step on one thread (Linux; elsewhere time by the clock)");
-    let cases = [(Sight::Nothing, 20.0), (Sight::Within(0.3), 20.0), (Sight::Within(0.3), ASIDE_M)];
-    for (sight, apart) in cases {
+    let cases = [(None, 20.0), (Some(0.3), 20.0), (Some(0.3), ASIDE_M)];
+    for (distance_m, apart) in cases {
         let mut times: [Vec<f64>; 4] = Default::default();
-        let mut seen = [0; 4];
+        let mut found = [0; 4];
         for _ in 0..TURNS {
-            for ((count, times), seen) in [1, 2, 4, 8].into_iter().zip(&mut times).zip(&mut seen) {
+            for ((count, times), found) in [1, 2, 4, 8].into_iter().zip(&mut times).zip(&mut found)
+            {
                 let mut group = Group::on(Threads::ONE);
                 for number in 0..count {
                     let at = placed(scene, 0.0, apart * number as f32, 0.0)?;
                     let id = group.add(&number.to_string(), robot(model, scene, &at, 7)?)?;
-                    group.set_sight(id, sight)?;
+                    group.set_neighbour_distance(id, distance_m)?;
                     group.set_command(id, &[0.5, 0.0, 0.0])?;
                 }
-                *seen = group.step()?.iter().map(|report| report.seen).sum();
+                *found = group.step()?.iter().map(|report| report.neighbours).sum();
                 let begin = processor_ms();
                 for _ in 0..STEPS {
-                    *seen += group.step()?.iter().map(|report| report.seen).sum::<usize>();
+                    *found += group.step()?.iter().map(|report| report.neighbours).sum::<usize>();
                 }
                 times.push((processor_ms() - begin) / STEPS as f64);
             }
         }
-        for ((count, of), seen) in [1, 2, 4, 8].iter().zip(&times).zip(seen) {
+        for ((count, of), found) in [1, 2, 4, 8].iter().zip(&times).zip(found) {
             println!(
-                "{sight:?}, {apart} m apart, {count} robots: {:.2} ms, {:.2} times one; {:.0} units seen a step",
+                "neighbours within {distance_m:?} m, {apart} m apart, {count} robots: {:.2} ms, {:.2} times one; {:.0} neighbours a step",
                 median(of.clone()),
                 median(of.iter().zip(&times[0]).map(|(many, one)| many / one).collect()),
-                seen as f64 / (STEPS + 1) as f64,
+                found as f64 / (STEPS + 1) as f64,
             );
         }
     }

@@ -18,9 +18,9 @@ use crate::pool;
 use crate::threads::Threads;
 use crate::world::{Undo, World};
 
-/// Beyond what they move in a step, metres within which members without a command see units of others.
+/// Neighbour distance of members whose models take no command, metres, beyond what both move in a step.
 // Contact looks 0.03 m ahead (docs/MODEL.md, section 6); gravity adds to the way of what falls.
-const USUAL_SIGHT_M: f32 = 0.1;
+const USUAL_DISTANCE_M: f32 = 0.1;
 /// Times of a step that differ by a smaller share are one: 1 / 3 is not 10 / 30 to the bit.
 const SAME_TIME: f32 = 1e-5;
 
@@ -35,42 +35,33 @@ impl MemberId {
     }
 }
 
-/// Which units of other members a member sees.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Sight {
-    /// None: it goes as it would alone.
-    Nothing,
-    /// Those whose bounding balls come so near its own units', metres, in the step.
-    Within(f32),
-}
-
 /// What a step did to a member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MemberReport {
     /// The member.
     pub id: MemberId,
-    /// What its world reports, of its own units and those that it saw.
+    /// What its world reports, of its own units and its neighbours.
     pub report: StepReport,
-    /// Units of other members that it saw.
-    pub seen: usize,
+    /// Units of other members that were so near that its world took them in.
+    pub neighbours: usize,
 }
 
 /// Several worlds in one space, which step together: robots, each with its model and command, and what they push.
 ///
 /// Each member keeps its model, command, units, planes and network, on or off ([`World::set_network`]). All have one time step. A
-/// member sees units of others that are near ([`Sight`]) as driven units, in this step alone; between steps a member's world has its
-/// own units and nothing else. Nothing pushes back: what one world sees of another is where it goes.
+/// member's world takes in its **neighbours**, units of others within its neighbour distance, as driven units, in this step alone;
+/// between steps it has its own units and nothing else. Nothing pushes back.
 ///
-/// | order | members | see of the others |
+/// | order | members | where their neighbours go |
 /// |---|---|---|
-/// | first | those whose model takes a command | where driven units are told to go; others where they go if they go on as in the last step, a robot's links with its heading |
-/// | then | those without | of the first ones where this step takes them, without delay; of each other as above |
+/// | first | those whose model takes a command | driven ones where they are told to; others on as in the last step, a robot's links with its heading |
+/// | then | those without | those of the first order where this step takes them, without delay; others as above |
 ///
 /// Members of one order are independent within a step, so that threads share them, and no result depends on the threads. Bodies that
-/// push each other both ways belong in one world. Others see a unit as the hull of its points, also where it has pieces.
-/// Members with commands see nothing unless [`set_sight`](Self::set_sight) says so, since robots' models were trained alone
-/// (docs/ROBOTS.md): they do not avoid each other, and walk through each other where their commands cross. [`gaps`](Self::gaps) says
-/// who touches whom.
+/// push each other both ways belong in one world. A neighbour is the hull of its points, also where it has pieces.
+/// Members with commands have no neighbours unless [`set_neighbour_distance`](Self::set_neighbour_distance) says so: robots' models are
+/// trained alone, and walk worse beside others (docs/ROBOTS.md). They do not avoid each other, and walk through each other where their
+/// commands cross. [`gaps`](Self::gaps) says who touches whom.
 ///
 /// ```
 /// use nalgebra::{Isometry3, Point3};
@@ -115,7 +106,8 @@ struct Member {
     id: MemberId,
     name: String,
     world: World,
-    sight: Sight,
+    /// None: it takes nobody in.
+    distance_m: Option<f32>,
     undo: Undo,
 }
 
@@ -137,7 +129,7 @@ impl Member {
 }
 
 /// A unit of another member, as a world takes it in for a step.
-struct Guest {
+struct Neighbour {
     presence: Presence,
     /// Number of its member.
     of: usize,
@@ -155,7 +147,7 @@ struct OwnUnit {
 /// A member's part in a step.
 struct Job<'g> {
     member: &'g mut Member,
-    guests: Vec<&'g Guest>,
+    neighbours: Vec<&'g Neighbour>,
     names: &'g [String],
     outcome: Option<Result<MemberReport, GroupError>>,
 }
@@ -178,8 +170,8 @@ impl Group {
         Group { threads, members: Vec::new(), next: 0 }
     }
 
-    /// Takes a world in as a member, behind the others. One whose model takes a command sees [nothing](Sight::Nothing), as one of soft
-    /// bodies; others see [what they may touch](Sight::Within).
+    /// Takes a world in as a member, behind the others. One whose model takes a command has no neighbours, nor one of soft bodies; others
+    /// have those that they may touch.
     ///
     /// # Errors
     /// [`GroupError`], where the name is taken or empty, or the world has no time step, another one or copies.
@@ -192,15 +184,10 @@ impl Group {
         }
         self.check_time(name, Member::check(name, &world)?, None)?;
         let id = MemberId(self.next);
-        let mut member = Member {
-            id,
-            name: name.to_owned(),
-            world,
-            sight: Sight::Nothing,
-            undo: Undo::default(),
-        };
+        let mut member =
+            Member { id, name: name.to_owned(), world, distance_m: None, undo: Undo::default() };
         if !member.is_commanded() && !is_soft(&member.world) {
-            member.sight = Sight::Within(USUAL_SIGHT_M);
+            member.distance_m = Some(USUAL_DISTANCE_M);
         }
         self.members.push(member);
         self.next += 1;
@@ -279,26 +266,34 @@ impl Group {
         set.map_err(|source| GroupError::Command { name: name.clone(), source })
     }
 
-    /// Which units of others a member sees.
-    pub fn sight(&self, id: MemberId) -> Option<Sight> {
-        self.member(id).map(|member| member.sight)
-    }
-
-    /// Says which units of others a member sees, from the next step on. Its world needs room for them
-    /// ([`Limits`]), and each costs as much as one of its own.
+    /// Within which distance units of others are a member's neighbours, metres; none where it has no neighbours.
     ///
     /// # Errors
-    /// [`GroupError::NoSuchMember`], [`GroupError::Distance`] or [`GroupError::Soft`]; the sight is what it was.
-    pub fn set_sight(&mut self, id: MemberId, sight: Sight) -> Result<(), GroupError> {
+    /// [`GroupError::NoSuchMember`].
+    pub fn neighbour_distance(&self, id: MemberId) -> Result<Option<f32>, GroupError> {
+        Ok(self.members[self.number(id)?].distance_m)
+    }
+
+    /// Says which units of others are a member's neighbours, from the next step on: those whose bounding balls come so near its own units'
+    /// in the step, metres; with none it goes as it would alone. Its world needs room for them ([`Limits`]), and each costs more than
+    /// one of its own.
+    ///
+    /// # Errors
+    /// [`GroupError::NoSuchMember`], [`GroupError::Distance`] or [`GroupError::Soft`]; the distance is what it was.
+    pub fn set_neighbour_distance(
+        &mut self,
+        id: MemberId,
+        distance_m: Option<f32>,
+    ) -> Result<(), GroupError> {
         let number = self.number(id)?;
         let member = &mut self.members[number];
-        if let Sight::Within(distance_m) = sight {
+        if let Some(distance_m) = distance_m {
             check_distance(distance_m)?;
             if is_soft(&member.world) {
                 return Err(GroupError::Soft { name: member.name.clone() });
             }
         }
-        member.sight = sight;
+        member.distance_m = distance_m;
         Ok(())
     }
 
@@ -310,8 +305,8 @@ impl Group {
         let copy = |member: &Member| {
             let failed = |source| GroupError::World { name: member.name.clone(), source };
             let world = member.world.try_clone().map_err(failed)?;
-            let (id, name, sight) = (member.id, member.name.clone(), member.sight);
-            Ok(Member { id, name, world, sight, undo: Undo::default() })
+            let (id, name, distance_m) = (member.id, member.name.clone(), member.distance_m);
+            Ok(Member { id, name, world, distance_m, undo: Undo::default() })
         };
         let members = self.members.iter().map(copy).collect::<Result<_, _>>()?;
         Ok(Group { threads: self.threads, members, next: self.next })
@@ -331,9 +326,9 @@ impl Group {
             let dt_s = Member::check(&member.name, &member.world)?;
             self.check_time(&member.name, dt_s, Some(member.id))?;
         }
-        let sees = |member: &Member| member.sight != Sight::Nothing;
-        let is_seen = self.members.len() > 1 && self.members.iter().any(sees);
-        let mut presences: Vec<Vec<Presence>> = match is_seen {
+        let looks = |member: &Member| member.distance_m.is_some();
+        let is_looked_at = self.members.len() > 1 && self.members.iter().any(looks);
+        let mut presences: Vec<Vec<Presence>> = match is_looked_at {
             true => self.members.iter().map(|member| presence::presences(&member.world)).collect(),
             false => vec![Vec::new(); self.members.len()],
         };
@@ -372,37 +367,37 @@ impl Group {
         outcomes: &mut [Option<Result<MemberReport, GroupError>>],
     ) -> bool {
         let balls: Vec<_> = presences.iter().map(|units| presence::around(units)).collect();
-        let seen: Vec<Vec<(usize, usize)>> = self
+        let near: Vec<Vec<(usize, usize)>> = self
             .members
             .iter()
             .enumerate()
             .map(|(number, member)| match member.is_commanded() == commanded {
-                true => seen_by(number, member.sight, presences, &balls),
+                true => near_to(number, member.distance_m, presences, &balls),
                 false => Vec::new(),
             })
             .collect();
-        // Each unit once, however many see it.
-        let wanted: BTreeSet<(usize, usize)> = seen.iter().flatten().copied().collect();
-        let guests: Vec<((usize, usize), Guest)> = wanted
+        // Each unit once, however many it is near to.
+        let wanted: BTreeSet<(usize, usize)> = near.iter().flatten().copied().collect();
+        let neighbours: Vec<((usize, usize), Neighbour)> = wanted
             .into_iter()
             .filter_map(|(of, unit)| {
-                let guest = guest(of, presences[of][unit], &self.members[of].world)?;
-                Some(((of, unit), guest))
+                let found = neighbour(of, presences[of][unit], &self.members[of].world)?;
+                Some(((of, unit), found))
             })
             .collect();
         let names: Vec<String> = self.members.iter().map(|member| member.name.clone()).collect();
         let find = |place: &(usize, usize)| {
-            let at = guests.binary_search_by_key(place, |(place, _)| *place).ok()?;
-            Some(&guests[at].1)
+            let at = neighbours.binary_search_by_key(place, |(place, _)| *place).ok()?;
+            Some(&neighbours[at].1)
         };
         let mut jobs: Vec<Job<'_>> = self
             .members
             .iter_mut()
-            .zip(&seen)
+            .zip(&near)
             .filter(|(member, _)| member.is_commanded() == commanded)
-            .map(|(member, seen)| Job {
+            .map(|(member, near)| Job {
                 member,
-                guests: seen.iter().filter_map(find).collect(),
+                neighbours: near.iter().filter_map(find).collect(),
                 names: &names,
                 outcome: None,
             })
@@ -473,17 +468,17 @@ fn check_distance(distance_m: f32) -> Result<(), GroupError> {
     }
 }
 
-/// Units of others that a member sees, by their members' numbers and their own, in that order.
-fn seen_by(
+/// Units of others that are near a member's, by their members' numbers and their own, in that order.
+fn near_to(
     number: usize,
-    sight: Sight,
+    distance_m: Option<f32>,
     presences: &[Vec<Presence>],
     balls: &[Option<(rigidformer_core::nalgebra::Point3<f32>, f32)>],
 ) -> Vec<(usize, usize)> {
-    let (Sight::Within(distance_m), Some((middle, radius))) = (sight, balls[number]) else {
+    let (Some(distance_m), Some((middle, radius))) = (distance_m, balls[number]) else {
         return Vec::new();
     };
-    let mut seen = Vec::new();
+    let mut near = Vec::new();
     for (of, units) in presences.iter().enumerate().filter(|(of, _)| *of != number) {
         let Some((place, reach)) = balls[of] else { continue };
         // Members that are far away cost no more than this.
@@ -492,21 +487,21 @@ fn seen_by(
         }
         for (unit, other) in units.iter().enumerate() {
             if presences[number].iter().any(|own| own.room_m(other) <= distance_m) {
-                seen.push((of, unit));
+                near.push((of, unit));
             }
         }
     }
-    seen
+    near
 }
 
 /// A unit of a member as others take it in; none where it is gone.
-fn guest(of: usize, presence: Presence, world: &World) -> Option<Guest> {
+fn neighbour(of: usize, presence: Presence, world: &World) -> Option<Neighbour> {
     let unit = world.simulator().get(presence.id)?;
     let pose = unit.pose();
     let points = unit.points().map(|point| pose.inverse_transform_point(&point)).collect();
     let (physics, compliance) = (unit.physics(), unit.compliance());
-    let unit_is = OwnUnit { points, physics, compliance };
-    Some(Guest { presence, of, body: unit.body(), unit: unit_is })
+    let (body, unit) = (unit.body(), OwnUnit { points, physics, compliance });
+    Some(Neighbour { presence, of, body, unit })
 }
 
 /// Steps all, on so many threads at most.
@@ -532,22 +527,22 @@ impl Job<'_> {
     }
 
     fn step(&mut self, threads: Threads) -> Result<MemberReport, GroupError> {
-        let seen = self.guests.len();
-        let guests = self.take_in()?;
+        let neighbours = self.neighbours.len();
+        let taken_in = self.take_in()?;
         let Member { id, name, world, .. } = &mut *self.member;
         let stepped = world.step_within(threads);
         // The last first: no other unit moves in memory.
-        for guest in guests.into_iter().rev() {
-            let removed = world.remove(guest);
+        for unit in taken_in.into_iter().rev() {
+            let removed = world.remove(unit);
             debug_assert_eq!(removed, Ok(()), "it was taken in for this step");
         }
         match stepped {
-            Ok(report) => Ok(MemberReport { id: *id, report, seen }),
+            Ok(report) => Ok(MemberReport { id: *id, report, neighbours }),
             Err(source) => Err(GroupError::Step { name: name.clone(), source }),
         }
     }
 
-    /// Shows the world what it sees, behind its own units.
+    /// Adds the neighbours to the world, behind its own units.
     fn take_in(&mut self) -> Result<Vec<UnitId>, GroupError> {
         let needed = self.needed();
         let Member { name, world, .. } = &mut *self.member;
@@ -560,9 +555,9 @@ impl Job<'_> {
             return Err(GroupError::Step { name: name.clone(), source });
         }
         let mut bodies = Bodies::of(world);
-        let mut taken = Vec::with_capacity(self.guests.len());
-        for guest in &self.guests {
-            let Guest { presence, of, body, unit } = guest;
+        let mut taken = Vec::with_capacity(self.neighbours.len());
+        for neighbour in &self.neighbours {
+            let Neighbour { presence, of, body, unit } = neighbour;
             let mut shown = Unit::new(&unit.points, unit.physics).compliance(unit.compliance);
             shown.role = if presence.role == Role::Fixed { Role::Fixed } else { Role::Driven };
             shown.body = body.and_then(|body| bodies.numbered(*of, body));
@@ -573,7 +568,7 @@ impl Job<'_> {
                 }
                 Ok(id)
             });
-            let failed = |source| GroupError::Seen {
+            let failed = |source| GroupError::Neighbour {
                 name: name.clone(),
                 of: self.names[*of].clone(),
                 source,
@@ -587,12 +582,12 @@ impl Job<'_> {
     fn needed(&self) -> Limits {
         let simulator = self.member.world.simulator();
         let own: usize = simulator.units().map(|unit| unit.point_count()).sum();
-        let guests: usize = self.guests.iter().map(|guest| guest.unit.points.len()).sum();
-        Limits { units: simulator.len() + self.guests.len(), points: own + guests }
+        let theirs: usize = self.neighbours.iter().map(|other| other.unit.points.len()).sum();
+        Limits { units: simulator.len() + self.neighbours.len(), points: own + theirs }
     }
 }
 
-/// Numbers of bodies in a world that sees others' units.
+/// Numbers of bodies in a world with neighbours.
 struct Bodies {
     taken: BTreeSet<u16>,
     /// Member, its number of the body, and the number here.

@@ -7,12 +7,12 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use rigidformer_core::UnitId;
-use rigidformer_runtime::group::{self, GroupError, MemberId, MemberReport, Sight};
+use rigidformer_runtime::group::{self, GroupError, MemberId, MemberReport};
 use rigidformer_runtime::threads::Threads;
 
 use crate::arrays::{self, Floats};
 use crate::errors::{OrRaise, input};
-use crate::interrupt::TICK;
+use crate::interrupt::{TICK, free};
 use crate::locked::Locked;
 use crate::model::Model;
 use crate::whole;
@@ -64,13 +64,13 @@ impl Gap {
 
 /// Several worlds in one space that step together: robots, each with its model and command, and the boxes that they push.
 ///
-/// Each member keeps its model, command, units, planes and network. All have one time step. A member sees units of others that are near
-/// (``set_sight``) as driven units, in the step alone: nothing pushes back. Members whose model takes a command move first; the others
-/// then see them where the step takes them, without delay. Within these two orders members see where the others' driven units are told
-/// to go, and that all else goes on as in the last step. Bodies that push each other both ways belong in one world.
+/// Each member keeps its model, command, units, planes and network. All have one time step. A member's world takes in its neighbours,
+/// units of others within its neighbour distance, as driven units, in the step alone: nothing pushes back. Members whose model takes a
+/// command move first; the others then have them as neighbours where the step takes them, without delay. Within these two orders driven
+/// neighbours go where they are told to, and others go on as in the last step. Bodies that push each other both ways belong in one world.
 ///
-/// Robots see nothing unless ``set_sight`` says so: their models were trained alone, and walk worse where they see another robot. They
-/// do not avoid each other, and walk through each other; ``gaps`` says who touches whom. Others see a unit as the hull of its points.
+/// Robots have no neighbours unless ``set_neighbour_distance`` says so: their models are trained alone, and walk worse beside others. They
+/// do not avoid each other, and walk through each other; ``gaps`` says who touches whom. A neighbour is the hull of its points.
 ///
 /// Parameters
 /// ----------
@@ -95,8 +95,8 @@ impl Gap {
 /// >>> group.add("table", table)
 /// >>> for step in range(1, 13):
 /// ...     group.drive("hand", pusher, [-0.3 + 0.02 * step, 0, 0.1, 1, 0, 0, 0])
-/// ...     seen = {name: seen for name, (report, seen) in group.step().items()}
-/// >>> seen
+/// ...     reports = group.step()
+/// >>> {name: neighbours for name, (report, neighbours) in reports.items()}
 /// {'hand': 1, 'table': 1}
 /// >>> bool(group.poses("table")[0, 0] > 0.1)  # pushed
 /// True
@@ -140,10 +140,6 @@ impl Members {
     }
 }
 
-fn sight_of(within_m: Option<f32>) -> Sight {
-    within_m.map_or(Sight::Nothing, Sight::Within)
-}
-
 fn threads_of(threads: Option<usize>) -> PyResult<Threads> {
     match threads {
         Some(count @ 1..=16) => Ok(Threads::new(count)),
@@ -161,8 +157,8 @@ impl Group {
         Ok(Group { group: Locked::new(Members { group, threads, models: Vec::new() }) })
     }
 
-    /// Takes a copy of a world in as a member, behind the others. One whose model takes a command sees nothing, nor one of soft bodies;
-    /// others see what they may touch.
+    /// Takes a copy of a world in as a member, behind the others. One whose model takes a command has no neighbours, nor one of soft
+    /// bodies; others have those that they may touch.
     ///
     /// Parameters
     /// ----------
@@ -228,9 +224,9 @@ impl Group {
             let id = members.find(&name)?;
             (id, members.model(py, id)?)
         };
-        let copy = self.group.freely(py, |members| {
-            members.group.world(id).map(|world| world.try_clone())
-        })?;
+        let copy = self
+            .group
+            .freely(py, |members| members.group.world(id).map(|world| world.try_clone()))?;
         let copy = copy.ok_or_else(|| input("the member is gone"))?.or_raise()?;
         Ok(World::new_of(copy, model))
     }
@@ -302,26 +298,31 @@ impl Group {
         world.drive(UnitId::from_bits(id), &pose).or_raise()
     }
 
-    /// Says which units of others a member sees, from the next step on. Its world needs room for them, and each costs as much as one of
-    /// its own.
+    /// Says which units of others are a member's neighbours, from the next step on. Its world needs room for them, and each costs more
+    /// than one of its own.
     ///
     /// Parameters
     /// ----------
     /// name : str
     /// within_m : float, optional
-    ///     Those whose bounding balls come so near its own units' in a step, metres. None: nothing.
+    ///     Those whose bounding balls come so near its own units' in a step, metres. None: it has no neighbours.
     ///
     /// Raises
     /// ------
     /// InputError
     ///     No member has this name, the distance is none, or the member's model moves soft bodies.
-    fn set_sight(&self, py: Python<'_>, name: &str, within_m: Option<f32>) -> PyResult<()> {
+    fn set_neighbour_distance(
+        &self,
+        py: Python<'_>,
+        name: &str,
+        within_m: Option<f32>,
+    ) -> PyResult<()> {
         let mut members = self.group.lock(py)?;
         let id = members.find(name)?;
-        members.group.set_sight(id, sight_of(within_m)).or_raise()
+        members.group.set_neighbour_distance(id, within_m).or_raise()
     }
 
-    /// Within which distance a member sees units of others.
+    /// Within which distance units of others are a member's neighbours.
     ///
     /// Parameters
     /// ----------
@@ -330,18 +331,15 @@ impl Group {
     /// Returns
     /// -------
     /// float or None
-    ///     Metres; None: it sees nothing.
+    ///     Metres; None: it has no neighbours.
     ///
     /// Raises
     /// ------
     /// InputError
     ///     No member has this name.
-    fn sight(&self, py: Python<'_>, name: &str) -> PyResult<Option<f32>> {
+    fn neighbour_distance(&self, py: Python<'_>, name: &str) -> PyResult<Option<f32>> {
         let members = self.group.lock(py)?;
-        Ok(match members.group.sight(members.find(name)?) {
-            Some(Sight::Within(metres)) => Some(metres),
-            _ => None,
-        })
+        members.group.neighbour_distance(members.find(name)?).or_raise()
     }
 
     /// Advances all members.
@@ -354,12 +352,12 @@ impl Group {
     /// Returns
     /// -------
     /// dict of str to tuple of StepReport and int
-    ///     Of the last step: what each member's world reports, and how many units of others it saw.
+    ///     Of the last step: what each member's world reports, and how many neighbours it had.
     ///
     /// Raises
     /// ------
     /// InputError
-    ///     A member's world has another time step, or no room for what it sees; all members are as before that step.
+    ///     A member's world has another time step, or no room for its neighbours; all members are as before that step.
     /// StepError
     ///     A member cannot step: it has no command or no units, or a unit goes nowhere. All members are as before that step.
     /// KeyboardInterrupt
@@ -390,8 +388,8 @@ impl Group {
             }
         }
         let all = PyDict::new(py);
-        for (name, MemberReport { report, seen, .. }) in last {
-            all.set_item(name, (Report::from(report), seen))?;
+        for (name, MemberReport { report, neighbours, .. }) in last {
+            all.set_item(name, (Report::from(report), neighbours))?;
         }
         Ok(all)
     }
@@ -488,7 +486,7 @@ impl Group {
     ///     There is no memory for it.
     fn copy(&self, py: Python<'_>) -> PyResult<Self> {
         let members = self.group.lock(py)?;
-        let group = crate::interrupt::free(py, || members.group.try_clone())?.or_raise()?;
+        let group = free(py, || members.group.try_clone())?.or_raise()?;
         let models = members.models.iter().map(|(id, model)| (*id, model.clone_ref(py)));
         let (models, threads) = (models.collect(), members.threads);
         drop(members);
@@ -509,7 +507,11 @@ impl Group {
             (members.names(), members.threads)
         };
         let member = |name: String| {
-            Ok((name.clone(), self.world(py, &name)?.into_pyobject(py)?, self.sight(py, &name)?))
+            Ok((
+                name.clone(),
+                self.world(py, &name)?.into_pyobject(py)?,
+                self.neighbour_distance(py, &name)?,
+            ))
         };
         let members = names.into_iter().map(member).collect::<PyResult<Vec<_>>>()?;
         let again = py.import(intern!(py, "rigidformer._state"))?.getattr(intern!(py, "group"))?;

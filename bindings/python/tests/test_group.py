@@ -36,7 +36,7 @@ def crowd(threads=None):
     group = rf.Group(threads=threads)
     for name, world in (("one", robot(0)), ("other", robot(0.6)), ("table", table(0.3))):
         group.add(name, world)
-    group.set_sight("one", 0.5)
+    group.set_neighbour_distance("one", 0.5)
     return group
 
 
@@ -50,7 +50,7 @@ def test_members_come_and_go_by_name():
     group.add("one", robot(0))
     group.add("table", table(9))
     assert group.names == ["one", "table"] and group.dt_s == np.float32(DT_S)
-    assert (group.sight("one"), group.sight("table")) == (None, np.float32(0.1))
+    assert (group.neighbour_distance("one"), group.neighbour_distance("table")) == (None, np.float32(0.1))
     assert repr(group) == "Group(one, table)"
     with pytest.raises(rf.InputError, match="called \"one\" already"):
         group.add("one", robot(0))
@@ -64,14 +64,14 @@ def test_far_members_go_as_alone_and_threads_change_no_bit():
     alone, group = robot(0), rf.Group()
     group.add("one", alone)
     group.add("other", robot(30))
-    group.set_sight("one", 1.0)
+    group.set_neighbour_distance("one", 1.0)
     reports = group.step(3)
     alone.step(3)
     assert group.poses("one").tobytes() == alone.poses().tobytes()
     assert reports["one"][1] == 0 and isinstance(reports["one"][0], rf.StepReport)
     groups = [crowd(threads) for threads in (1, 2, None)]
-    seen = [group.step(4) for group in groups]
-    assert seen[0]["one"][1] > 0
+    reports = [group.step(4) for group in groups]
+    assert reports[0]["one"][1] > 0
     assert state(groups[0]) == state(groups[1]) == state(groups[2])
 
 
@@ -100,7 +100,7 @@ def test_a_failed_step_changes_nobody():
         group.set_world("table", slow)
     for bad in (-1, np.nan, np.inf):
         with pytest.raises(rf.InputError, match="distance"):
-            group.set_sight("one", bad)
+            group.set_neighbour_distance("one", bad)
         with pytest.raises(rf.InputError, match="distance"):
             group.gaps(bad)
     assert state(group) == was
@@ -118,7 +118,7 @@ def test_copies_look_ahead_and_worlds_are_put_back():
         each.step(3)
     assert all(state(other) == state(group) for other in others)
     assert state(changed) != state(group)
-    assert others[3].sight("one") == 0.5 and others[3].sight("other") is None
+    assert others[3].neighbour_distance("one") == 0.5 and others[3].neighbour_distance("other") is None
 
 
 def test_gaps_say_who_touches_whom():

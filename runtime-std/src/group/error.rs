@@ -58,21 +58,21 @@ pub enum GroupError {
     },
     /// Scenes of soft units take no others.
     #[error(
-        "{name}: its model moves soft bodies, whose scenes take no units of others; leave its sight at nothing"
+        "{name}: its model moves soft bodies, whose scenes take no units of others; give it no neighbour distance"
     )]
     Soft {
         /// The member.
         name: String,
     },
-    /// A member's world has no room for what it sees.
+    /// A member's world has no room for its neighbours.
     #[error(
-        "{name}: its units and those of others near it are {} with {} points in all, its world holds {} with {}; raise the limits of its world, or shorten its sight",
+        "{name}: its units and those of others near it are {} with {} points in all, its world holds {} with {}; raise the limits of its world, or shorten its neighbour distance",
         .needed.units, .needed.points, .limits.units, .limits.points
     )]
     Room {
         /// The member.
         name: String,
-        /// What its units and those that it sees need.
+        /// What its units and its neighbours need.
         needed: Limits,
         /// What its world was made for.
         limits: Limits,
@@ -86,8 +86,8 @@ pub enum GroupError {
         source: CommandError,
     },
     /// A member's world does not take a unit of another member as it moves.
-    #[error("{name}: a unit of {of} cannot be shown to it: {source}")]
-    Seen {
+    #[error("{name}: a neighbour of {of} cannot be added to its world: {source}")]
+    Neighbour {
         /// The member.
         name: String,
         /// Whose unit.

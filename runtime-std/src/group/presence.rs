@@ -1,4 +1,4 @@
-//! Units of a member as others see them: where they are, where a step takes them, and how near they are.
+//! Units of a member as they are to others: where they are, where a step takes them, and how near they are.
 //!
 //! Plain arithmetic and square roots alone: other functions of the platform would give other bits on other machines.
 

@@ -7,7 +7,7 @@ use rigidformer_core::{
     CommandError, EditError, Limits, Physics, Posed, Role, StepError, Unit, UnitId,
 };
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::group::{Group, GroupError, MemberId, Sight};
+use rigidformer_runtime::group::{Group, GroupError, MemberId};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::threads::Threads;
 use rigidformer_runtime::world::World;
@@ -82,7 +82,7 @@ fn states(group: &Group) -> Vec<Vec<u8>> {
     group.ids().map(|id| state(group, id)).collect()
 }
 
-/// Poses, to the bit: names that a world gave to what it saw count in a snapshot, and change nothing.
+/// Poses, to the bit: names that a world gave to neighbours count in a snapshot, and change nothing.
 fn bits(group: &Group) -> Vec<u32> {
     let units = group.ids().flat_map(|id| {
         let units = group.world(id).unwrap().simulator().units();
@@ -112,31 +112,31 @@ fn members_far_apart_go_as_alone_to_the_bit() {
     let mut group = Group::new();
     for (name, x) in [("one", 0.0), ("other", 30.0)] {
         let id = group.add(name, walker(&away(x))).unwrap();
-        group.set_sight(id, Sight::Within(1.0)).unwrap();
+        group.set_neighbour_distance(id, Some(1.0)).unwrap();
     }
     for _ in 0..5 {
         let reports = group.step().unwrap();
-        assert!(reports.iter().all(|report| report.seen == 0), "{reports:?}");
+        assert!(reports.iter().all(|report| report.neighbours == 0), "{reports:?}");
     }
     assert_eq!(states(&group), alone);
 }
 
 #[test]
-fn a_member_that_sees_nothing_goes_as_alone_beside_others() {
+fn a_member_without_neighbours_goes_as_alone_beside_others() {
     let mut world = walker(&away(0.0));
     let mut group = Group::new();
     let one = group.add("one", walker(&away(0.0))).unwrap();
     group.add("other", walker(&away(0.3))).unwrap();
-    assert_eq!(group.sight(one), Some(Sight::Nothing), "as it came");
+    assert_eq!(group.neighbour_distance(one), Ok(None), "as it came");
     for _ in 0..5 {
         world.step().unwrap();
         group.step().unwrap();
     }
     assert_eq!(state(&group, one), world.snapshot().as_bytes());
-    group.set_sight(one, Sight::Within(0.5)).unwrap();
+    group.set_neighbour_distance(one, Some(0.5)).unwrap();
     world.step().unwrap();
     let reports = group.step().unwrap();
-    assert_eq!(reports.iter().map(|report| report.seen).collect::<Vec<_>>(), [3, 0]);
+    assert_eq!(reports.iter().map(|report| report.neighbours).collect::<Vec<_>>(), [3, 0]);
     assert_ne!(state(&group, one), world.snapshot().as_bytes());
     assert_eq!(group.world(one).unwrap().simulator().len(), 3, "its own units alone");
 }
@@ -146,7 +146,7 @@ fn crowd(threads: usize) -> Group {
     let mut group = Group::on(Threads::new(threads));
     for (name, x) in [("one", 0.0), ("other", 0.6)] {
         let id = group.add(name, walker(&away(x))).unwrap();
-        group.set_sight(id, Sight::Within(0.5)).unwrap();
+        group.set_neighbour_distance(id, Some(0.5)).unwrap();
     }
     for (name, x) in [("table", 0.3), ("shelf", 0.55)] {
         group.add(name, table(x, 0.1).0).unwrap();
@@ -158,18 +158,18 @@ fn crowd(threads: usize) -> Group {
 fn threads_change_no_bit() {
     let run = |threads: usize| {
         let mut group = crowd(threads);
-        let mut seen = Vec::new();
+        let mut counts = Vec::new();
         for _ in 0..6 {
             let reports = group.step().unwrap();
-            seen.push(reports.iter().map(|report| report.seen).collect::<Vec<_>>());
+            counts.push(reports.iter().map(|report| report.neighbours).collect::<Vec<_>>());
         }
         let gaps = group.gaps_in_step(0.5).unwrap();
         let gaps: Vec<_> =
             gaps.iter().map(|gap| (gap.gap_m.to_bits(), gap.share.to_bits())).collect();
-        (states(&group), seen, gaps)
+        (states(&group), counts, gaps)
     };
     let one = run(1);
-    assert!(one.1.iter().flatten().any(|seen| *seen > 0), "they see each other: {:?}", one.1);
+    assert!(one.1.iter().flatten().any(|count| *count > 0), "they are neighbours: {:?}", one.1);
     assert_eq!(run(2), one);
     assert_eq!(run(16), one);
 }
@@ -200,7 +200,7 @@ fn robots_push_boxes_where_this_step_takes_them() {
 }
 
 #[test]
-fn boxes_see_a_robot_in_the_step_that_it_makes() {
+fn boxes_are_pushed_by_the_step_that_a_robot_makes() {
     // It walks onto a box, at a place and time where only the present step touches it.
     let mut group = Group::new();
     let one = group.add("one", walker(&away(0.0))).unwrap();
@@ -220,7 +220,7 @@ fn boxes_see_a_robot_in_the_step_that_it_makes() {
     world.set_gravity(Vector3::zeros()).unwrap();
     let plates = group.add("plate", world).unwrap();
     let reports = group.step().unwrap();
-    assert!(reports[1].seen > 0, "{reports:?}");
+    assert!(reports[1].neighbours > 0, "{reports:?}");
     let pushed = group.world(plates).unwrap().pose(id).unwrap().translation.vector - place;
     assert!(pushed.x * ahead > 0.015, "{pushed}");
     let gap = group.gaps(0.5).unwrap()[0];
@@ -248,7 +248,7 @@ fn members_have_names_and_come_and_go() {
     let missing = GroupError::NoSuchMember { id: one };
     assert_eq!(group.remove(one).map(drop), Err(missing.clone()));
     assert_eq!(group.set_command(one, &[0.0; 3]), Err(missing.clone()));
-    assert_eq!(group.set_sight(one, Sight::Nothing), Err(missing));
+    assert_eq!(group.set_neighbour_distance(one, None), Err(missing));
     assert!(
         group.world(one).is_none() && group.world_mut(one).is_none() && group.find("one").is_none()
     );
@@ -286,7 +286,7 @@ fn worlds_that_do_not_fit_are_refused() {
     );
     for bad in [f32::NAN, f32::INFINITY, -0.1] {
         assert!(matches!(
-            group.set_sight(one, Sight::Within(bad)),
+            group.set_neighbour_distance(one, Some(bad)),
             Err(GroupError::Distance { .. })
         ));
         assert!(matches!(group.gaps(bad), Err(GroupError::Distance { .. })));
@@ -306,10 +306,13 @@ fn worlds_that_do_not_fit_are_refused() {
     );
 }
 
+/// Makes the next step of a group fail.
+type Spoil = fn(&mut Group);
+
 #[test]
 fn a_step_that_fails_changes_nobody() {
-    // A later member has no command, another no room for what it sees, one another time, one no units.
-    let spoil: [(&str, fn(&mut Group)); 5] = [
+    // A later member has no command, another no room for its neighbours, one another time, one no units.
+    let spoil: [(&str, Spoil); 5] = [
         ("no command", |group| {
             let mut world = World::new(&g1(), ROOM).unwrap();
             let points = cuboid([0.1; 3]);
@@ -378,7 +381,7 @@ fn a_step_that_fails_changes_nobody() {
                 assert!(needed.units > 2, "{error}");
             }
             ("another time", GroupError::OtherTimestep { name, .. }) => assert_eq!(name, "table"),
-            ("too fast", GroupError::Seen { of, source: EditError::Jump { .. }, .. }) => {
+            ("too fast", GroupError::Neighbour { of, source: EditError::Jump { .. }, .. }) => {
                 assert_eq!(of, "spoiler");
             }
             _ => panic!("{why}: {error:?}"),
@@ -415,7 +418,7 @@ fn a_clone_looks_ahead_and_a_member_can_go_back() {
         group.step().unwrap();
     }
     assert_eq!(bits(&ahead), bits(&group));
-    // Going on from kept states gives the same bits: what others see of a member follows from its state alone.
+    // Going on from kept states gives the same bits: what others take in of a member follows from its state alone.
     for (id, snapshot) in &kept {
         group.world_mut(*id).unwrap().restore(snapshot).unwrap();
     }

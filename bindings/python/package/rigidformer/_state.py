@@ -22,5 +22,5 @@ def group(threads: Optional[int], members: Sequence[tuple[str, World, Optional[f
     group = Group(threads=threads)
     for name, world, within_m in members:
         group.add(name, world)
-        group.set_sight(name, within_m)
+        group.set_neighbour_distance(name, within_m)
     return group

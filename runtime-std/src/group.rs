@@ -257,6 +257,32 @@ impl Group {
 
     /// Gives a member the command of all following steps.
     ///
+    /// ```
+    /// use nalgebra::{Isometry3, Point3};
+    /// use rigidformer_runtime::core::{Limits, Physics, Posed, Unit};
+    /// use rigidformer_runtime::group::{Group, GroupError};
+    /// use rigidformer_runtime::models::LoadedModel;
+    /// use rigidformer_runtime::world::World;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+    /// # let points: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let plastic = Physics { mass_kg: 30.0, friction: 0.5, restitution: 0.1 };
+    /// let model = LoadedModel::embedded("g1", rigidformer_weights::G1)?;
+    /// let mut group = Group::new();
+    /// for (name, x) in [("one", 0.0), ("other", 3.0)] {
+    ///     let mut world = World::new(&model, Limits { units: 31, points: 992 })?;
+    ///     let at = |x| Isometry3::translation(x, 0.0, 0.8);
+    ///     // All links of a robot: here one alone.
+    ///     let links = [Posed { unit: Unit::new(&points, plastic), previous: at(x), current: at(x + 0.1) }];
+    ///     world.edit(|simulator| simulator.observe_poses(1.0 / 3.0, &links))?;
+    ///     let id = group.add(name, world)?;
+    ///     group.set_command(id, &[0.5, 0.0, 0.3])?; // m/s forwards and to the left, rad/s
+    /// }
+    /// let one = group.find("one").ok_or("none")?;
+    /// assert!(matches!(group.set_command(one, &[0.5, f32::NAN, 0.0]), Err(GroupError::Command { .. })));
+    /// group.step()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`GroupError::NoSuchMember`], or [`GroupError::Command`] where the model takes no such command; the command is what it was.
     pub fn set_command(&mut self, id: MemberId, command: &[f32]) -> Result<(), GroupError> {
@@ -298,6 +324,37 @@ impl Group {
     }
 
     /// Another group in the same state, to look ahead in: worlds with memory of their own, and the same ids.
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3};
+    /// # use rigidformer_runtime::core::{Limits, Physics, Role, Unit};
+    /// # use rigidformer_runtime::models::LoadedModel;
+    /// # use rigidformer_runtime::world::World;
+    /// use rigidformer_runtime::group::Group;
+    /// # let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+    /// # let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let wood = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.1 };
+    /// # let world = |x| -> Result<_, Box<dyn std::error::Error>> {
+    /// #     let mut world = World::new(&model, Limits { units: 4, points: 64 })?;
+    /// #     world.set_dt(0.1)?;
+    /// #     let id = world.add(&Unit::new(&corners, wood).role(Role::Driven), &Isometry3::translation(x, 0.0, 0.5))?;
+    /// #     Ok((world, id))
+    /// # };
+    /// # let ((left, hand), (right, _)) = (world(0.0)?, world(1.0)?);
+    /// let mut group = Group::new();
+    /// let (left, right) = (group.add("left", left)?, group.add("right", right)?);
+    /// group.set_neighbour_distance(left, Some(0.5))?;
+    /// let mut ahead = group.try_clone()?;
+    /// ahead.world_mut(left).ok_or("none")?.drive(hand, &Isometry3::translation(0.9, 0.0, 0.5))?;
+    /// ahead.step()?;
+    /// if ahead.gaps_in_step(0.05)?.is_empty() {
+    ///     group.world_mut(left).ok_or("none")?.drive(hand, &Isometry3::translation(0.9, 0.0, 0.5))?;
+    /// }
+    /// assert_eq!(group.step()?[0].neighbours, 0); // it has stayed
+    /// assert_eq!((group.name(right), group.find("left")), (Some("right"), Some(left)));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`GroupError::World`] where there is no memory for it.
@@ -427,6 +484,34 @@ impl Group {
 
     /// As [`gaps`](Self::gaps), the least of each pair in the last step, in which units go straight from where they were to where they
     /// are, and turn evenly. A step of 1/3 s is long enough to walk through somebody. Looks are at most 2 cm of motion apart, up to 64 of them.
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3};
+    /// # use rigidformer_runtime::core::{Limits, Physics, Role, Unit};
+    /// # use rigidformer_runtime::models::LoadedModel;
+    /// # use rigidformer_runtime::world::World;
+    /// use rigidformer_runtime::group::Group;
+    /// # let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+    /// # let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let wood = Physics { mass_kg: 1.0, friction: 0.5, restitution: 0.1 };
+    /// # let world = |x| -> Result<_, Box<dyn std::error::Error>> {
+    /// #     let mut world = World::new(&model, Limits { units: 4, points: 64 })?;
+    /// #     world.set_dt(0.1)?;
+    /// #     let id = world.add(&Unit::new(&corners, wood).role(Role::Driven), &Isometry3::translation(x, 0.0, 0.5))?;
+    /// #     Ok((world, id))
+    /// # };
+    /// # let ((left, hand), (right, _)) = (world(0.0)?, world(1.0)?);
+    /// let mut group = Group::new();
+    /// let left = group.add("left", left)?; // a cube of 0.2 m
+    /// group.add("right", right)?; // another one, a metre ahead
+    /// group.world_mut(left).ok_or("none")?.drive(hand, &Isometry3::translation(2.0, 0.0, 0.5))?;
+    /// group.step()?;
+    /// assert!(group.gaps(0.0)?.is_empty()); // it is beyond
+    /// let through = group.gaps_in_step(0.0)?[0];
+    /// assert!(through.gap_m < -0.19 && (through.share - 0.5).abs() < 0.1);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// As [`gaps`](Self::gaps).

@@ -114,7 +114,8 @@ fn looks(a: &Presence, b: &Presence) -> usize {
 
 /// Metres between two hulls; negative the depth of their overlap.
 fn gap_m([a, b]: [&[Point3<f32>]; 2], [from, to]: &[Isometry3<f32>; 2]) -> f32 {
-    hull_distance([(a, from), (b, to)]).unwrap_or_else(|| -depth_m([a, b], [from, to]))
+    // Where they just touch it is 0, and not the other zero.
+    hull_distance([(a, from), (b, to)]).unwrap_or_else(|| 0.0 - depth_m([a, b], [from, to]))
 }
 
 /// The shortest way that takes two hulls that overlap apart: from the origin to the surface of the hull of all differences of their

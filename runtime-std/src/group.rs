@@ -8,7 +8,8 @@ use std::collections::BTreeSet;
 
 use rayon::prelude::*;
 use rigidformer_core::kernels::in_own_environment;
-use rigidformer_core::{Limits, Role, StepError, StepReport, Unit, UnitId};
+use rigidformer_core::nalgebra::Point3;
+use rigidformer_core::{Compliance, Limits, Physics, Role, StepError, StepReport, Unit, UnitId};
 
 pub use error::GroupError;
 pub use gaps::Gap;
@@ -139,9 +140,9 @@ struct Neighbour {
 
 /// What a unit is, in memory of its own.
 struct OwnUnit {
-    points: Vec<rigidformer_core::nalgebra::Point3<f32>>,
-    physics: rigidformer_core::Physics,
-    compliance: rigidformer_core::Compliance,
+    points: Vec<Point3<f32>>,
+    physics: Physics,
+    compliance: Compliance,
 }
 
 /// A member's part in a step.
@@ -247,7 +248,10 @@ impl Group {
         let number = self.number(id)?;
         let name = &self.members[number].name;
         self.check_time(name, Member::check(name, &world)?, Some(id))?;
-        Ok(std::mem::replace(&mut self.members[number].world, world))
+        let member = &mut self.members[number];
+        // Scenes of soft units take no others.
+        member.distance_m = member.distance_m.filter(|_| !is_soft(&world));
+        Ok(std::mem::replace(&mut member.world, world))
     }
 
     /// Seconds of a step; none before there is a member.
@@ -558,7 +562,7 @@ fn near_to(
     number: usize,
     distance_m: Option<f32>,
     presences: &[Vec<Presence>],
-    balls: &[Option<(rigidformer_core::nalgebra::Point3<f32>, f32)>],
+    balls: &[Option<(Point3<f32>, f32)>],
 ) -> Vec<(usize, usize)> {
     let (Some(distance_m), Some((middle, radius))) = (distance_m, balls[number]) else {
         return Vec::new();

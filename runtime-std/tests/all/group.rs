@@ -306,6 +306,33 @@ fn worlds_that_do_not_fit_are_refused() {
     );
 }
 
+#[test]
+fn a_member_takes_another_world() {
+    let mut group = Group::new();
+    let one = group.add("one", walker(&away(0.0))).unwrap();
+    let boxes = group.add("box", table(3.0, 0.0).0).unwrap();
+    let (mut slow, _) = table(5.0, 0.0);
+    slow.set_dt(0.1).unwrap();
+    // The first member's time is that of the others too.
+    for id in [one, boxes] {
+        let refused = group.set_world(id, slow.try_clone().unwrap()).map(drop);
+        assert!(matches!(refused, Err(GroupError::OtherTimestep { .. })), "{refused:?}");
+    }
+    let old = group.set_world(boxes, table(7.0, 0.0).0).unwrap();
+    let place = |world: &World| world.simulator().units().next().unwrap().pose().translation.x;
+    assert_eq!((place(&old), place(group.world(boxes).unwrap())), (3.0, 7.0));
+    // Soft bodies have no neighbours.
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../weights/models/soft.rfm");
+    let soft = LoadedModel::open(path.as_ref()).unwrap();
+    let mut world = World::new(&soft, ROOM).unwrap();
+    world.set_dt(DT_S).unwrap();
+    assert_eq!(group.neighbour_distance(boxes), Ok(Some(0.1)));
+    group.set_world(boxes, world).unwrap();
+    assert_eq!(group.neighbour_distance(boxes), Ok(None));
+    let refused = group.set_neighbour_distance(boxes, Some(0.1));
+    assert_eq!(refused, Err(GroupError::Soft { name: "box".into() }));
+}
+
 /// Makes the next step of a group fail.
 type Spoil = fn(&mut Group);
 

@@ -2,6 +2,8 @@
 
 mod error;
 mod gaps;
+mod id;
+mod member;
 mod presence;
 
 use std::collections::BTreeSet;
@@ -13,6 +15,8 @@ use rigidformer_core::{Compliance, Limits, Physics, Role, StepError, StepReport,
 
 pub use error::GroupError;
 pub use gaps::Gap;
+pub use id::MemberId;
+use member::Member;
 use presence::Presence;
 
 use crate::pool;
@@ -24,17 +28,6 @@ use crate::world::{Undo, World};
 const USUAL_DISTANCE_M: f32 = 0.1;
 /// Times of a step that differ by a smaller share are one: 1 / 3 is not 10 / 30 to the bit.
 const SAME_TIME: f32 = 1e-5;
-
-/// Name of a member of a group, which no other member is ever given.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct MemberId(u64);
-
-impl MemberId {
-    /// As a number.
-    pub const fn to_bits(self) -> u64 {
-        self.0
-    }
-}
 
 /// What a step did to a member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -103,32 +96,6 @@ pub struct Group {
     next: u64,
 }
 
-struct Member {
-    id: MemberId,
-    name: String,
-    world: World,
-    /// None: it takes nobody in.
-    distance_m: Option<f32>,
-    undo: Undo,
-}
-
-impl Member {
-    /// Whether it moves before those that have no command.
-    fn is_commanded(&self) -> bool {
-        self.world.model().model().config().command_size > 0
-    }
-
-    /// The world's time step, where the world can be a member's.
-    fn check(name: &str, world: &World) -> Result<f32, GroupError> {
-        let (name, simulator) = (|| name.to_owned(), world.simulator());
-        let copies = simulator.copies();
-        if copies > 1 {
-            return Err(GroupError::Copies { name: name(), copies });
-        }
-        simulator.dt_s().ok_or_else(|| GroupError::NoTimestep { name: name() })
-    }
-}
-
 /// A unit of another member, as a world takes it in for a step.
 struct Neighbour {
     presence: Presence,
@@ -184,7 +151,7 @@ impl Group {
             return Err(GroupError::NameTaken { name: name.to_owned() });
         }
         self.check_time(name, Member::check(name, &world)?, None)?;
-        let id = MemberId(self.next);
+        let id = MemberId::new(self.next);
         let mut member =
             Member { id, name: name.to_owned(), world, distance_m: None, undo: Undo::default() };
         if !member.is_commanded() && !is_soft(&member.world) {

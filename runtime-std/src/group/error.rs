@@ -2,7 +2,7 @@
 
 use rigidformer_core::{CommandError, EditError, Limits, StepError};
 
-use super::MemberId;
+use super::id::MemberId;
 use crate::world::WorldError;
 
 /// Why a group refused; it is what it was. Its text names the member and the remedy.

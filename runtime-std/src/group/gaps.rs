@@ -4,8 +4,10 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::UnitId;
 use rigidformer_core::geometry::hull_distance;
 
+use super::id::MemberId;
+use super::member::Member;
 use super::presence::{self, Presence};
-use super::{Member, MemberId};
+
 use crate::hull::ConvexHull;
 
 /// Metres that two units come nearer at most between two looks at a step.

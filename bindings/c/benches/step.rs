@@ -57,12 +57,13 @@ fn main() {
                 of_rust.push(rust.turn());
                 of_python.push(python.as_mut().map_or(f64::NAN, Python::turn));
             }
+            // A shared machine changes its speed from turn to turn, which each turn's ratio leaves out.
+            let ratio = |of: &[f64]| median(of_c.iter().zip(of).map(|(c, x)| c / x).collect());
+            let (to_rust, to_python) = (ratio(&of_rust), ratio(&of_python));
             let [of_c, of_rust, of_python] = [of_c, of_rust, of_python].map(median);
             let units = format!("{} x {}", pile.0, pile.1.pow(3));
             println!(
-                "{name:<8} {units:<10} {of_c:>9.1} {of_rust:>9.1} {of_python:>9.1} {:>8.3} {:>10.3}",
-                of_c / of_rust,
-                of_c / of_python
+                "{name:<8} {units:<10} {of_c:>9.1} {of_rust:>9.1} {of_python:>9.1} {to_rust:>8.3} {to_python:>10.3}"
             );
         }
     }

@@ -81,7 +81,7 @@ impl<'s> Scratch<'s> {
 }
 
 /// Bytes that any kernels need for a tile of so many rows of so many inputs: values of 16 bits,
-/// inputs by fours, two channels of weights beside the rows, a scale a row, and alignment to
+/// inputs by fours, two channels of weights beside the rows, a scale or a sum a row, and alignment to
 /// words.
 pub const fn scratch_bytes(inputs: usize, rows: usize) -> usize {
     let inputs = inputs.div_ceil(4).saturating_mul(4);

@@ -20,7 +20,7 @@ pub const VARIABLE: &str = "RIGIDFORMER_KERNEL";
 pub enum Kernel {
     /// Plain Rust, everywhere.
     Portable,
-    /// x86-64 with AVX2 and F16C: products of 16-bit pairs.
+    /// x86-64 with AVX2 and F16C.
     Avx2,
     /// x86-64 with AVX-VNNI.
     AvxVnni,
@@ -98,6 +98,33 @@ impl Kernel {
         self.run(Probe).is_some()
     }
 
+    /// Runs `rounds` rounds of int8 multiply-accumulates by [`instruction`](Self::instruction) on registers alone: the upper
+    /// bound of a product's speed. Returns the multiply-accumulates of a round, or `None` where they are not known.
+    pub fn ceiling(self, rounds: u64) -> Option<u64> {
+        match self {
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx2 => x86::ceiling::avx2(rounds),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::AvxVnni => x86::ceiling::avx_vnni(rounds),
+            #[cfg(target_arch = "x86_64")]
+            Kernel::Avx512Vnni | Kernel::Amx => x86::ceiling::avx512(rounds),
+            _ => {
+                let _ = rounds;
+                None
+            }
+        }
+    }
+
+    /// What the [ceiling](Self::ceiling) consists of, where it is known. For `amx` it is VNNI's, which multiplies small matrices.
+    pub fn instruction(self) -> Option<&'static str> {
+        match self {
+            Kernel::Avx2 => Some("vpmaddubsw"),
+            Kernel::AvxVnni => Some("vpdpbusd of 256 bits"),
+            Kernel::Avx512Vnni | Kernel::Amx => Some("vpdpbusd of 512 bits"),
+            Kernel::Portable | Kernel::Neon | Kernel::Sdot | Kernel::Smmla => None,
+        }
+    }
+
     /// Runs `task` with a value of these kernels, or returns `None` where the processor lacks them.
     pub fn run<R: Run>(self, task: R) -> Option<R::Output> {
         match self {
@@ -134,18 +161,6 @@ impl FromStr for Kernel {
     fn from_str(name: &str) -> Result<Self, KernelError> {
         let unknown = || KernelError::Unknown { name: name.into() };
         Kernel::ALL.into_iter().find(|kernel| kernel.name() == name).ok_or_else(unknown)
-    }
-}
-
-/// Runs `rounds` rounds of int8 multiply-accumulates on registers alone, as fast as this processor can: the upper bound of a product's
-/// speed. Returns the multiply-accumulates of a round, or `None` where they are not known.
-pub fn ceiling(rounds: u64) -> Option<u64> {
-    #[cfg(target_arch = "x86_64")]
-    return x86::ceiling(rounds);
-    #[cfg(not(target_arch = "x86_64"))]
-    {
-        let _ = rounds;
-        None
     }
 }
 

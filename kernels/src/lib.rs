@@ -18,7 +18,7 @@ mod single;
 #[cfg(target_arch = "x86_64")]
 pub mod x86;
 
-pub use choice::{Kernel, KernelError, Run, VARIABLE, ceiling};
+pub use choice::{Kernel, KernelError, Run, VARIABLE};
 pub use columns::Columns;
 pub use host::{HostKernels, Quantised};
 pub use panels::{PanelsError, has_rows, panels, to_panels};

@@ -16,7 +16,7 @@ use rigidformer_runtime::core::weights::Scope;
 use rigidformer_runtime::core::{Layer, Model, Schedule, Stage, Trace};
 use rigidformer_runtime::engine::Engine;
 use rigidformer_runtime::futures::{BatchSimulator, Start, VelocityNoise};
-use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, ceiling, panels};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run, panels};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::threads::{Threaded, Threads};
 use rigidformer_runtime::world::World;
@@ -179,9 +179,11 @@ fn main() {
     let threads = engine.threads.count();
     println!("machine: {}", machine());
     println!("kernel {}, {threads} threads", engine.kernel);
-    let ceilings = Ceilings { int8: int8_ceiling(threads), memory: memory_ceiling(threads) };
+    let ceilings =
+        Ceilings { int8: int8_ceiling(engine.kernel, threads), memory: memory_ceiling(threads) };
     if let Some([one, all]) = ceilings.int8 {
-        println!("int8 ceiling: {one:.0} GMAC/s on one thread, {all:.0} on {threads}");
+        let by = engine.kernel.instruction().unwrap_or_default();
+        println!("int8 ceiling: {one:.0} GMAC/s by {by} on one thread, {all:.0} on {threads}");
     }
     let [one, all] = ceilings.memory;
     println!("memory: {one:.0} GB/s read on one thread, {all:.0} on {threads}\n");
@@ -263,15 +265,14 @@ fn best(body: impl Fn() -> f64) -> f64 {
     (0..5).map(|_| body()).fold(0.0, f64::max)
 }
 
-fn int8_ceiling(threads: usize) -> Option<[f64; 2]> {
-    ceiling(1)?;
+fn int8_ceiling(kernel: Kernel, threads: usize) -> Option<[f64; 2]> {
+    let each = kernel.ceiling(1)? as f64;
     let rate = |threads: usize| {
         best(|| {
-            let macs = ceiling(1).unwrap_or(1) as f64 * 5e6;
             let seconds = together(threads, |_| {
-                ceiling(5_000_000);
+                kernel.ceiling(5_000_000);
             });
-            threads as f64 * macs / seconds / 1e9
+            threads as f64 * each * 5e6 / seconds / 1e9
         })
     };
     Some([rate(1), rate(threads)])

@@ -1,4 +1,4 @@
-//! AVX2: registers of 8 numbers, 16 of them; products of int8 with VNNI or without.
+//! AVX2: registers of 8 numbers, 16 of them; products of int8 with VNNI, and what those without share with them.
 
 use std::arch::x86_64::*;
 
@@ -8,16 +8,13 @@ use super::wide::{self, Matrices, Tile, Weight, Wide};
 /// Products of int8 by VPDPBUSD, activations with 128 added. The instructions: AVX2 and AVX-VNNI.
 pub(super) struct Vnni;
 
-/// Products of int8 as 16-bit numbers by VPMADDWD: VPMADDUBSW would saturate. The instructions: AVX2.
-pub(super) struct Pairs;
-
 /// Eight sums, scaled, with their bias.
 ///
 /// # Safety
 /// The processor has AVX2. Eight numbers may be read from `end.scales` and from `end.bias` on, and
 /// as many written from `out` on.
 #[inline(always)]
-unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32) {
+pub(super) unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32) {
     // SAFETY: by this function's contract AVX2 and eight numbers at each pointer.
     unsafe {
         let scale = _mm256_mul_ps(_mm256_set1_ps(row_scale), _mm256_loadu_ps(end.scales));
@@ -31,7 +28,7 @@ unsafe fn finish(sums: __m256i, row_scale: f32, end: Epilogue, out: *mut f32) {
 /// # Safety
 /// The processor has AVX2, and eight numbers may be read from `from` on.
 #[inline(always)]
-unsafe fn magnitude(from: *const f32) -> __m256i {
+pub(super) unsafe fn magnitude(from: *const f32) -> __m256i {
     // SAFETY: by this function's contract AVX2 and eight numbers at `from`.
     unsafe { _mm256_and_si256(_mm256_loadu_si256(from.cast()), _mm256_set1_epi32(i32::MAX)) }
 }
@@ -41,7 +38,7 @@ unsafe fn magnitude(from: *const f32) -> __m256i {
 /// # Safety
 /// The processor has AVX2.
 #[inline(always)]
-unsafe fn most(x: __m256i) -> i32 {
+pub(super) unsafe fn most(x: __m256i) -> i32 {
     // SAFETY: AVX2 by this function's contract.
     unsafe {
         let x = _mm_max_epi32(_mm256_castsi256_si128(x), _mm256_extracti128_si256::<1>(x));
@@ -55,7 +52,7 @@ unsafe fn most(x: __m256i) -> i32 {
 /// # Safety
 /// The processor has AVX2, and eight numbers may be read from `from` on.
 #[inline(always)]
-unsafe fn round(from: *const f32, inverse: f32) -> __m256i {
+pub(super) unsafe fn round(from: *const f32, inverse: f32) -> __m256i {
     // SAFETY: by this function's contract AVX2 and eight numbers at `from`.
     unsafe { _mm256_cvtps_epi32(_mm256_mul_ps(_mm256_loadu_ps(from), _mm256_set1_ps(inverse))) }
 }
@@ -106,7 +103,12 @@ impl Int8 for Vnni {
     }
 
     #[inline(always)]
-    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
+    unsafe fn quantise(
+        correction: Self::Dot,
+        from: *const f32,
+        inverse: f32,
+        to: *mut i8,
+    ) -> Self::Dot {
         // SAFETY: `Int8::quantise` asks for AVX2, `STEP` = 32 numbers at `from` and room for as
         // many bytes at `to`.
         unsafe {
@@ -118,10 +120,11 @@ impl Int8 for Vnni {
             let bytes = _mm256_permutevar8x32_epi32(bytes, order);
             _mm256_storeu_si256(to.cast(), _mm256_xor_si256(bytes, _mm256_set1_epi8(-128)));
         }
+        correction
     }
 
     #[inline(always)]
-    unsafe fn start(from: *const i32) -> __m256i {
+    unsafe fn start(from: *const i32, _: i32) -> __m256i {
         // SAFETY: `Int8::start` asks for AVX2 and `CHANNELS` = 8 numbers at `from`.
         unsafe {
             let offset = _mm256_slli_epi32::<7>(_mm256_loadu_si256(from.cast()));
@@ -181,113 +184,6 @@ impl Int8 for Vnni {
             }
             across(sums)
         }
-    }
-}
-
-impl Int8 for Pairs {
-    const CHANNELS: usize = 8;
-    const BYTES: usize = 2;
-    const OFFSET: bool = false;
-    const ROWS: usize = 6;
-    const SUMS: usize = 6;
-    const STEP: usize = 16;
-    /// Two sums of each of four channels, then those of the other four.
-    type Sums = [__m256i; 2];
-    type Weights = [__m256i; 2];
-    type X = __m256i;
-    type Dot = __m256i;
-
-    #[inline(always)]
-    unsafe fn magnitudes(most: __m256i, from: *const f32) -> __m256i {
-        // SAFETY: `Int8::magnitudes` asks for AVX2 and `STEP` = 16 numbers at `from`.
-        unsafe {
-            let ab = _mm256_max_epi32(magnitude(from), magnitude(from.add(8)));
-            _mm256_max_epi32(most, ab)
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn most(x: __m256i) -> i32 {
-        // SAFETY: `Int8::most` asks for AVX2.
-        unsafe { most(x) }
-    }
-
-    #[inline(always)]
-    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
-        // SAFETY: `Int8::quantise` asks for AVX2, `STEP` = 16 numbers at `from` and room for twice
-        // as many bytes at `to`.
-        unsafe {
-            let words = _mm256_packs_epi32(round(from, inverse), round(from.add(8), inverse));
-            _mm256_storeu_si256(to.cast(), _mm256_permute4x64_epi64::<0b11_01_10_00>(words));
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn start(_: *const i32) -> [__m256i; 2] {
-        // SAFETY: `Int8::start` asks for AVX2.
-        unsafe { [_mm256_setzero_si256(); 2] }
-    }
-
-    #[inline(always)]
-    unsafe fn weights(from: *const i8) -> [__m256i; 2] {
-        // SAFETY: `Int8::weights` asks for AVX2 and 8 x 4 bytes at `from`.
-        unsafe {
-            let low = _mm256_cvtepi8_epi16(_mm_loadu_si128(from.cast()));
-            [low, _mm256_cvtepi8_epi16(_mm_loadu_si128(from.add(16).cast()))]
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn x(from: *const i8) -> __m256i {
-        // SAFETY: `Int8::x` asks for AVX2 and four activations of two bytes at `from`, which need
-        // no alignment here.
-        unsafe { _mm256_set1_epi64x(from.cast::<i64>().read_unaligned()) }
-    }
-
-    #[inline(always)]
-    unsafe fn add(sums: [__m256i; 2], x: __m256i, weights: [__m256i; 2]) -> [__m256i; 2] {
-        let ([a, b], [low, high]) = (sums, weights);
-        // SAFETY: `Int8::add` asks for AVX2.
-        unsafe {
-            [
-                _mm256_add_epi32(a, _mm256_madd_epi16(x, low)),
-                _mm256_add_epi32(b, _mm256_madd_epi16(x, high)),
-            ]
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn finish([low, high]: [__m256i; 2], row_scale: f32, end: Epilogue, out: *mut f32) {
-        // SAFETY: `Int8::finish` asks for AVX2, `CHANNELS` = 8 numbers at `end.scales` and at
-        // `end.bias`, and room for as many at `out`: what this module's `finish` asks for.
-        unsafe {
-            // [0 1 4 5 2 3 6 7]
-            let sums = _mm256_hadd_epi32(low, high);
-            let sums = _mm256_permute4x64_epi64::<0b11_01_10_00>(sums);
-            finish(sums, row_scale, end, out);
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn nothing() -> __m256i {
-        // SAFETY: `Int8::nothing` asks for AVX2.
-        unsafe { _mm256_setzero_si256() }
-    }
-
-    #[inline(always)]
-    unsafe fn dot(sums: __m256i, x: *const i8, weights: *const i8) -> __m256i {
-        // SAFETY: `Int8::dot` asks for AVX2, 16 x 2 bytes at `x` and 16 at `weights`.
-        unsafe {
-            let weights = _mm256_cvtepi8_epi16(_mm_loadu_si128(weights.cast()));
-            let products = _mm256_madd_epi16(_mm256_loadu_si256(x.cast()), weights);
-            _mm256_add_epi32(sums, products)
-        }
-    }
-
-    #[inline(always)]
-    unsafe fn across(sums: [__m256i; SERVED], _: __m256i) -> [i32; SERVED] {
-        // SAFETY: `Int8::across` asks for AVX2.
-        unsafe { across(sums) }
     }
 }
 

@@ -42,7 +42,12 @@ impl<const MATRICES: bool> Int8 for Vnni<MATRICES> {
     }
 
     #[inline(always)]
-    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8) {
+    unsafe fn quantise(
+        correction: Self::Dot,
+        from: *const f32,
+        inverse: f32,
+        to: *mut i8,
+    ) -> Self::Dot {
         // SAFETY: `Int8::quantise` asks for AVX-512 BW, `STEP` = 64 numbers at `from` and room for
         // as many bytes at `to`.
         unsafe {
@@ -56,10 +61,11 @@ impl<const MATRICES: bool> Int8 for Vnni<MATRICES> {
             let bytes = _mm512_permutexvar_epi32(order, bytes);
             _mm512_storeu_si512(to.cast(), _mm512_xor_si512(bytes, _mm512_set1_epi8(-128)));
         }
+        correction
     }
 
     #[inline(always)]
-    unsafe fn start(from: *const i32) -> __m512i {
+    unsafe fn start(from: *const i32, _: i32) -> __m512i {
         // SAFETY: `Int8::start` asks for AVX-512 and `CHANNELS` = 16 numbers at `from`.
         unsafe {
             let offset = _mm512_slli_epi32::<7>(_mm512_loadu_si512(from.cast()));

@@ -40,6 +40,8 @@ pub(super) trait Int8 {
     const CHANNELS: usize;
     /// Bytes of an activation.
     const BYTES: usize;
+    /// Bytes behind the activations of a row.
+    const END: usize = 0;
     /// Whether 128 is added to activations.
     const OFFSET: bool;
     /// Whether AMX and AVX-512 are there beside the instructions: [`amx::is_there`] has said so.
@@ -73,18 +75,40 @@ pub(super) trait Int8 {
     /// The processor has the instructions of `Self`.
     unsafe fn most(most: Self::Dot) -> i32;
     /// Quantises [`STEP`](Self::STEP) finite numbers. None needs clamping: the largest product is 127 and less than a half.
+    /// Adds to `correction` what [`write_correction`](Self::write_correction) takes.
     ///
     /// # Safety
     /// The processor has the instructions of `Self`. [`STEP`](Self::STEP) numbers may be read from
     /// `from` on, and `STEP * BYTES` bytes written from `to` on.
-    unsafe fn quantise(from: *const f32, inverse: f32, to: *mut i8);
+    unsafe fn quantise(
+        correction: Self::Dot,
+        from: *const f32,
+        inverse: f32,
+        to: *mut i8,
+    ) -> Self::Dot;
 
-    /// Sums of a unit before the first product, which make up for the offset; given are those of the weights.
+    /// Writes behind a row's activations what each sum of its products lacks, where kernels need it.
+    ///
+    /// # Safety
+    /// The processor has the instructions of `Self`, and [`END`](Self::END) bytes may be written from `end` on.
+    #[inline(always)]
+    unsafe fn write_correction(_correction: Self::Dot, _end: *mut i8) {}
+    /// What each sum of a row's products lacks.
+    ///
+    /// # Safety
+    /// [`END`](Self::END) bytes may be read from `end` on.
+    #[inline(always)]
+    unsafe fn correction(_end: *const i8) -> i32 {
+        0
+    }
+
+    /// Sums of a unit before the first product, which make up for the offset; given are the sums of the weights, and what
+    /// the row's [correction](Self::correction).
     ///
     /// # Safety
     /// The processor has the instructions of `Self`, and [`CHANNELS`](Self::CHANNELS) numbers may
     /// be read from `weights` on.
-    unsafe fn start(weights: *const i32) -> Self::Sums;
+    unsafe fn start(weights: *const i32, correction: i32) -> Self::Sums;
     /// Four inputs of a unit.
     ///
     /// # Safety
@@ -138,15 +162,20 @@ pub(super) struct Epilogue {
 /// other.
 #[inline(always)]
 pub(super) fn row_bytes<I: Int8>(inputs: usize) -> usize {
-    // Saturated, a length that no memory has stays one: no row of it fits.
-    let groups = inputs.div_ceil(PANEL_DEPTH);
-    let bytes = groups.saturating_mul(PANEL_DEPTH * I::BYTES);
-    // Activations of two bytes fill their room exactly, and short rows gain little from alignment.
+    let bytes = end::<I>(inputs).saturating_add(I::END);
+    // Two bytes an activation leave no room for alignment, and short rows gain little from it.
     if I::BYTES > 1 || inputs < MIN_ALIGNED_INPUTS {
         return bytes;
     }
     let bytes = bytes.div_ceil(GROUP).saturating_mul(GROUP);
     if bytes.is_multiple_of(SET_BYTES) { bytes.saturating_add(GROUP) } else { bytes }
+}
+
+/// Bytes of a row's activations, in groups of four.
+#[inline(always)]
+fn end<I: Int8>(inputs: usize) -> usize {
+    // Saturated, a length that no memory has stays one: no row of it fits.
+    inputs.div_ceil(PANEL_DEPTH).saturating_mul(PANEL_DEPTH * I::BYTES)
 }
 
 /// Numbers that are measured before they are quantised.
@@ -166,6 +195,7 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
     let rows = (x.len() / inputs).min(scratch.scales.len()).min(scratch.values.len() / row_bytes);
     const { assert!(I::STEP <= MAX_STEP && I::STEP * I::BYTES <= MAX_STEP) };
     let whole = inputs / I::STEP * I::STEP;
+    let end = end::<I>(inputs);
     // Several rows are measured before any is quantised, so that nothing waits for the maximum of one.
     let ahead = (NUMBERS_AHEAD / inputs).clamp(1, ROWS_AHEAD);
     let mut row = 0;
@@ -196,21 +226,25 @@ pub(super) unsafe fn quantise<I: Int8>(x: &[f32], inputs: usize, scratch: &mut S
             let values = &mut scratch.values[(row + i) * row_bytes..(row + i + 1) * row_bytes];
             // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`,
             // which is inside the row and, times `BYTES`, inside `values`: `row_bytes` is no less
-            // than `inputs * BYTES`. `padded` has `MAX_STEP` numbers and `bytes` as many bytes, no
+            // than `end + END`. `padded` has `MAX_STEP` numbers and `bytes` as many bytes, no
             // fewer than `STEP` and `STEP * BYTES`.
             unsafe {
+                let mut correction = I::nothing();
                 for at in (0..whole).step_by(I::STEP) {
                     let to = values.as_mut_ptr().add(at * I::BYTES);
-                    I::quantise(x.as_ptr().add(at), inverse, to);
+                    correction = I::quantise(correction, x.as_ptr().add(at), inverse, to);
                 }
                 let rest = inputs - whole;
                 if rest > 0 {
                     let mut bytes = [0_i8; MAX_STEP];
-                    I::quantise(padded(&x[whole..]).as_ptr(), inverse, bytes.as_mut_ptr());
-                    // Bytes behind the last input multiply weights of zero.
-                    values[whole * I::BYTES..inputs * I::BYTES]
-                        .copy_from_slice(&bytes[..rest * I::BYTES]);
+                    let from = padded(&x[whole..]);
+                    correction =
+                        I::quantise(correction, from.as_ptr(), inverse, bytes.as_mut_ptr());
+                    // Whole groups: what is behind the last input multiplies weights of zero.
+                    let rest = rest.div_ceil(PANEL_DEPTH) * PANEL_DEPTH * I::BYTES;
+                    values[whole * I::BYTES..][..rest].copy_from_slice(&bytes[..rest]);
                 }
+                I::write_correction(correction, values.as_mut_ptr().add(end));
             }
         }
         row += here;
@@ -229,7 +263,7 @@ fn padded(numbers: &[f32]) -> [f32; MAX_STEP] {
 #[derive(Clone, Copy)]
 struct Block<'a> {
     /// As many rows as `row_scales` has numbers, each of `row_bytes` bytes, of which `groups * PANEL_DEPTH * I::BYTES`
-    /// are activations.
+    /// are activations, with `I::END` bytes behind them.
     x: *const i8,
     row_bytes: usize,
     row_scales: &'a [f32],
@@ -323,7 +357,7 @@ pub(super) unsafe fn multiply<I: Int8>(
         let end = Epilogue { scales, bias };
         let panel = channel / PANEL * groups * GROUP;
         // SAFETY: the instructions by this function's contract. The rest is what `Block` says. `x`
-        // has `rows` rows of `row_bytes`, no less than `groups * PANEL_DEPTH * BYTES`. `values` has
+        // has `rows` rows of `row_bytes`, no less than `groups * PANEL_DEPTH * BYTES + END`. `values` has
         // whole panels for all `channels`, and for the last unit, which begins below `channels`. A
         // block begins at a panel, or has one unit: `units` is even until the last block, or always
         // 1. `sums` and `end` have `units * CHANNELS` numbers: slices that are as long, or arrays
@@ -411,21 +445,23 @@ unsafe fn rows_of<I: Int8, const UNITS: usize, const ROWS: usize>(
         return;
     }
     // SAFETY: by this function's contract the instructions and the block. Its `sums` have the
-    // channels of `UNITS` units. Row `row + ROWS - 1` is one of the block's, and group `group` of
-    // it is among its activations. A unit's weights are in a panel of the block, and in group
+    // channels of `UNITS` units. Row `row + ROWS - 1` is one of the block's, with `END` bytes behind its
+    // activations, and group `group` of it is among these. A unit's weights are in a panel of the block, and in group
     // `group` of it; a request ahead reads nothing, so that it may miss. `to` is row `row` of
     // `out`, with room for `channels` numbers: either those of all units, or `finish` writes to
     // `all`, which has room for `ROWS * UNITS * CHANNELS` numbers, at most `SUMS * CHANNELS`, and
     // `channels` of each row are copied from there.
     unsafe {
-        let starts: [I::Sums; UNITS] =
-            std::array::from_fn(|unit| I::start(block.sums.add(unit * I::CHANNELS)));
-        let mut sums = [starts; ROWS];
+        let x = block.x.add(row * block.row_bytes);
+        let mut sums: [[I::Sums; UNITS]; ROWS] = std::array::from_fn(|row| {
+            let end = block.groups * PANEL_DEPTH * I::BYTES;
+            let correction = I::correction(x.add(row * block.row_bytes + end));
+            std::array::from_fn(|unit| I::start(block.sums.add(unit * I::CHANNELS), correction))
+        });
         let offsets: [usize; UNITS] = std::array::from_fn(|unit| {
             let channel = unit * I::CHANNELS;
             channel / PANEL * block.groups * GROUP + channel % PANEL * PANEL_DEPTH
         });
-        let x = block.x.add(row * block.row_bytes);
         for group in 0..block.groups {
             let x: [*const i8; ROWS] = std::array::from_fn(|row| {
                 x.add(row * block.row_bytes + group * PANEL_DEPTH * I::BYTES)
@@ -521,7 +557,7 @@ pub(super) unsafe fn linear<I: Int8>(
 ) {
     let inputs = inputs.max(1);
     let outputs = weight.scales.len().max(1);
-    let row_bytes = row_bytes::<I>(inputs);
+    let (row_bytes, end) = (row_bytes::<I>(inputs), end::<I>(inputs));
     let rows =
         (out.len() / outputs).min(scratch.scales.len()).min(scratch.values.len() / row_bytes);
     let channels = weight.values.chunks_exact(inputs).zip(weight.scales);
@@ -531,7 +567,7 @@ pub(super) unsafe fn linear<I: Int8>(
             let here = SERVED.min(rows - row);
             // The last row stands in for missing ones.
             // SAFETY: the instructions by this function's contract. `values` has `rows` rows of
-            // `row_bytes`, no less than `inputs * BYTES`; `weights` has `inputs` numbers, and `row
+            // `row_bytes`, no less than their groups; `weights` has `inputs` numbers, and `row
             // + i` is less than `rows`, as `i` is less than `here`.
             let sums = unsafe {
                 let x: [*const i8; SERVED] = std::array::from_fn(|i| {
@@ -540,6 +576,10 @@ pub(super) unsafe fn linear<I: Int8>(
                 dots::<I>(x, weights)
             };
             for (i, sum) in sums.into_iter().enumerate().take(here) {
+                let end = (row + i) * row_bytes + end;
+                // SAFETY: `values` has `rows` rows of `row_bytes`, no less than `end + END`.
+                let correction = unsafe { I::correction(scratch.values.as_ptr().add(end)) };
+                let sum = sum.wrapping_add(correction);
                 let scale = scratch.scales[row + i] * scale;
                 out[(row + i) * outputs + n] = sum as f32 * scale + bias;
             }
@@ -550,7 +590,7 @@ pub(super) unsafe fn linear<I: Int8>(
 /// Products of rows with one row of weights.
 ///
 /// # Safety
-/// The processor has the instructions of `I`. From each of `x` on, `weights.len() * I::BYTES` bytes
+/// The processor has the instructions of `I`. From each of `x` on, all groups of `weights.len()` activations
 /// may be read.
 #[inline(always)]
 unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED] {
@@ -560,7 +600,8 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
     let whole = weights.len() / I::STEP * I::STEP;
     // SAFETY: the instructions by this function's contract. `at + STEP` is at most `whole`, which
     // is inside the weights and, times `BYTES`, inside each of `x`, as is the rest behind it.
-    // `ones`, `some` and `last` have `MAX_STEP` bytes, no fewer than `STEP * BYTES`.
+    // `ones`, `some` and `last` have `MAX_STEP` bytes, no fewer than `STEP * BYTES`. The rest is copied in
+    // whole groups, which each of `x` has.
     unsafe {
         let mut sums = [I::nothing(); SERVED];
         let mut offset = I::nothing();
@@ -580,7 +621,8 @@ unsafe fn dots<I: Int8>(x: [*const i8; SERVED], weights: &[i8]) -> [i32; SERVED]
             for (sum, x) in sums.iter_mut().zip(x) {
                 let mut some = [0_i8; MAX_STEP];
                 let from = x.add(whole * I::BYTES);
-                std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest * I::BYTES);
+                let rest = rest.div_ceil(PANEL_DEPTH) * PANEL_DEPTH * I::BYTES;
+                std::ptr::copy_nonoverlapping(from, some.as_mut_ptr(), rest);
                 *sum = I::dot(*sum, some.as_ptr(), last.as_ptr());
             }
             if I::OFFSET {

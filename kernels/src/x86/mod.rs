@@ -1,6 +1,6 @@
 //! Kernels for x86-64: one body for each loop, compiled once for each set of instructions.
 //!
-//! - `int8`: products of int8 matrices, over the instructions of `avx512` and `avx2`, and those of `amx` for whole matrices
+//! - `int8`: products of int8 matrices, over the instructions of `avx512`, `avx2` and `bytes`, and those of `amx` for whole matrices
 //! - `wide`: products of f32 and f16 matrices and other loops that hold sums in registers
 //! - `smooth`: what needs the exponential function
 //! - `sweep`: impulses at several contacts
@@ -13,14 +13,14 @@ mod amx;
 mod attend;
 mod avx2;
 mod avx512;
-mod ceiling;
+mod bytes;
+pub(crate) mod ceiling;
 mod int8;
 mod plain;
 mod smooth;
 mod sweep;
 mod wide;
 
-pub(crate) use ceiling::avx512 as ceiling;
 use std::arch::x86_64::{__m256, __m512};
 
 use half::f16;
@@ -48,7 +48,7 @@ pub struct Amx(());
 #[derive(Clone, Copy, Debug)]
 pub struct AvxVnni(());
 
-/// AVX2: 16 products of 16-bit numbers an instruction.
+/// AVX2: 32 products of 8-bit numbers in four instructions.
 #[derive(Clone, Copy, Debug)]
 pub struct Avx2(());
 
@@ -162,4 +162,4 @@ kernels!(
     __m512
 );
 kernels!(AvxVnni, "avx-vnni", "avx2,avxvnni,f16c", ["avx2", "avxvnni", "f16c"], avx2::Vnni, __m256);
-kernels!(Avx2, "avx2", "avx2,f16c", ["avx2", "f16c"], avx2::Pairs, __m256);
+kernels!(Avx2, "avx2", "avx2,f16c", ["avx2", "f16c"], bytes::Bytes, __m256);

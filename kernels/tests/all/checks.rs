@@ -182,6 +182,22 @@ pub(crate) fn check_int8_extremes<K: Kernels>(kernels: K) {
             layer.check(kernels, &vec![x; rows * inputs], inputs, &what);
         }
     }
+    // Neighbours that cancel, and sizes about each tile. No model has -128, but nothing here depends on that.
+    for (inputs, outputs) in [(1, 1), (3, 17), (4, 16), (31, 7), (33, 33), (66, 24)] {
+        for (seed, extremes) in
+            [[-127, 127], [127, -127], [-127, -127], [-128, 127]].iter().enumerate()
+        {
+            let weights = (0..outputs * inputs).map(|i| extremes[(i / (seed + 1)) % 2]).collect();
+            let layer = Layer::new(weights, outputs, inputs, series(outputs, 3));
+            for rows in 1..=14 {
+                let x: Vec<f32> = series(rows * inputs, seed).iter().map(|x| x.signum()).collect();
+                let what = format!("{rows}x{inputs}x{outputs} of {extremes:?}");
+                layer.check(kernels, &x, inputs, &what);
+                let x = vec![-1.0; rows * inputs];
+                layer.check(kernels, &x, inputs, &format!("{what} by -1"));
+            }
+        }
+    }
     // As many inputs as a model may have.
     let inputs = 16_384 * 8;
     let layer = Layer::new(vec![-127; 2 * inputs], 2, inputs, Vec::new());

@@ -136,6 +136,23 @@ fn panels_of_other_sizes_do_not_panic() {
 }
 
 #[test]
+fn kernels_that_name_an_instruction_have_its_ceiling() {
+    for kernel in Kernel::available() {
+        let macs = [0, 1, 3].map(|rounds| kernel.ceiling(rounds));
+        assert!(macs.iter().all(|macs| *macs == macs_of_a_round(kernel)), "{kernel}: {macs:?}");
+    }
+    /// Sums of a round times channels and inputs of a register.
+    fn macs_of_a_round(kernel: Kernel) -> Option<u64> {
+        let macs = match kernel.instruction()? {
+            "vpmaddubsw" => 6 * 8 * 4,
+            "vpdpbusd of 256 bits" => 12 * 8 * 4,
+            _ => 24 * 16 * 4,
+        };
+        Some(macs)
+    }
+}
+
+#[test]
 fn names_are_those_of_the_variable() {
     for kernel in Kernel::ALL {
         assert_eq!(kernel.to_string().parse(), Ok(kernel));

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
 
 use rigidformer_runtime::engine::Engine;
-use rigidformer_runtime::kernels::{HostKernels, Run, ceiling};
+use rigidformer_runtime::kernels::{HostKernels, Kernel, Run};
 use rigidformer_runtime::models::LoadedModel;
 use rigidformer_runtime::threads::{Threaded, Threads};
 use rigidformer_runtime::world::World;
@@ -47,7 +47,10 @@ pub(crate) fn serve(engine: Engine) {
     }
     let name = format!("W-futures, {LOCKSTEP} units");
     workloads.push(json!({"name": name, "group": name, "stage": "10 steps", "threads": [threads]}));
-    say(&json!({"kernel": engine.kernel.name(), "threads": threads, "workloads": workloads}));
+    let (kernel, instruction) = (engine.kernel.name(), engine.kernel.instruction());
+    say(
+        &json!({"kernel": kernel, "instruction": instruction, "threads": threads, "workloads": workloads}),
+    );
     let mut served = Served { engine, group: String::new(), model: None, bodies: BTreeMap::new() };
     for line in io::stdin().lock().lines() {
         let request: Value = serde_json::from_str(&line.unwrap()).unwrap();
@@ -80,7 +83,7 @@ impl Served {
         let threads = request["threads"].as_u64().unwrap_or(1) as usize;
         let seconds = request["seconds"].as_f64().unwrap_or(0.3);
         if stage == "ceiling" {
-            let rate = ceiling_rate(threads, seconds);
+            let rate = ceiling_rate(self.engine.kernel, threads, seconds);
             return json!({"gmac_per_s": rate});
         }
         let group = workload.split(' ').next().unwrap_or_default();
@@ -187,11 +190,11 @@ impl Run for Timed<'_> {
 }
 
 /// What so many threads reach together with registers alone, in GMAC/s, or none where that is not known.
-fn ceiling_rate(threads: usize, seconds: f64) -> Option<f64> {
-    let each = ceiling(1)? as f64 * ROUNDS as f64;
+fn ceiling_rate(kernel: Kernel, threads: usize, seconds: f64) -> Option<f64> {
+    let each = kernel.ceiling(1)? as f64 * ROUNDS as f64;
     let times = Times::at_least(1, seconds, || {
         together(threads, |_| {
-            ceiling(ROUNDS);
+            kernel.ceiling(ROUNDS);
         });
     });
     Some(threads as f64 * each / times.median() / 1e6)

@@ -127,9 +127,10 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
     let machine = machine::machine();
     let (commit, is_changed) = program::present_commit()?;
     let kernel = programs.ours.hello["kernel"].as_str().unwrap_or_default().to_owned();
+    let ceiling = programs.ours.hello["instruction"].as_str().unwrap_or("unknown").to_owned();
     let features = machine["features"].as_array().into_iter().flatten().filter_map(Value::as_str);
     say(&format!(
-        "{}, {} cores ({}), load {}; kernel {kernel}; {} rounds of slices of {} s",
+        "{}, {} cores ({}), load {}; kernel {kernel}, ceiling {ceiling}; {} rounds of slices of {} s",
         machine["name"].as_str().unwrap_or_default(),
         machine["cores"],
         features.collect::<Vec<_>>().join(" "),
@@ -180,7 +181,7 @@ fn everything(options: &Options, start: &Path, interrupted: &AtomicBool) -> Resu
     }
     let peers = programs.peers.as_ref().map(|peers| &peers.hello);
     Ok(json!({
-        "machine": machine, "kernel": kernel, "threads": programs.ours.hello["threads"], "commit": commit, "changed_since": is_changed,
+        "machine": machine, "kernel": kernel, "ceiling": ceiling, "threads": programs.ours.hello["threads"], "commit": commit, "changed_since": is_changed,
         "before": programs.before.as_ref().map(|(_, checkout)| &checkout.commit), "peers": peers, "rounds": options.rounds,
         "slice_s": options.seconds, "workloads": results,
     }))

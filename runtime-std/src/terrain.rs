@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use rigidformer_core::{HeightField, HeightFieldError};
 
 /// A [`HeightField`] that owns its heights. Clones share them.
@@ -23,6 +23,7 @@ use rigidformer_core::{HeightField, HeightFieldError};
 /// };
 /// bowl.view().check()?;
 /// assert_eq!(bowl.view().height_m(0.0, 0.0), Some(0.0));
+/// assert_eq!(bowl.triangles().count(), 200);
 /// # Ok::<(), rigidformer_runtime::core::HeightFieldError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
@@ -45,6 +46,25 @@ impl HeightFieldBuf {
     /// The field, with these heights.
     pub fn view(&self) -> HeightField<'_> {
         self.over(&self.heights_m)
+    }
+
+    /// Its triangles, which go round to the left as seen from above, metres: to draw it.
+    pub fn triangles(&self) -> impl Iterator<Item = [Point3<f32>; 3]> + '_ {
+        let [dx, dy] = self.spacing_m;
+        let corner = move |row: usize, column: usize| {
+            let height = self.heights_m.get(row * self.columns + column).copied();
+            let way = Vector3::new(dx * column as f32, dy * row as f32, height.unwrap_or_default());
+            Point3::from(self.corner_m + way)
+        };
+        let rows = self.view().rows().saturating_sub(1);
+        let columns = self.columns.saturating_sub(1);
+        (0..rows).flat_map(move |row| {
+            (0..columns).flat_map(move |column| {
+                let (first, opposite) = (corner(row, column), corner(row + 1, column + 1));
+                let (right, left) = (corner(row, column + 1), corner(row + 1, column));
+                [[first, right, opposite], [first, opposite, left]]
+            })
+        })
     }
 
     /// The same field over its heights elsewhere in memory.

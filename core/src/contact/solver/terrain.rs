@@ -110,15 +110,23 @@ impl Touches {
                 let group = self.all.iter().filter(goes);
                 act(&lead, &patch::choose(group.map(|touch| (touch.point, touch.gap)), &lead));
             } else {
-                // What touches comes first, all of it: on uneven ground that is not what is outermost.
+                // What touches comes first, the deepest of it: on uneven ground that is not what is outermost, and what a unit stands
+                // on has to be there in each substep.
                 let most = least + NEAR * self.same;
+                let mut last = f32::NEG_INFINITY;
                 let mut room = TOUCHING;
-                for touch in self.all.iter().filter(goes).filter(|touch| touch.gap <= most) {
-                    if room == 0 {
+                loop {
+                    let next = |touch: &&Touch| touch.gap > last && touch.gap <= most;
+                    let gaps = self.all.iter().filter(goes).filter(next).map(|touch| touch.gap);
+                    last = gaps.fold(f32::INFINITY, f32::min);
+                    let own = self.all.iter().filter(goes).filter(|touch| touch.gap == last);
+                    for touch in own.take(room) {
+                        touch.alone(&mut act);
+                        room -= 1;
+                    }
+                    if last == f32::INFINITY || room == 0 {
                         break;
                     }
-                    room -= 1;
-                    touch.alone(&mut act);
                 }
                 let group = self.all.iter().filter(goes).filter(|touch| touch.gap > most);
                 each_alone(group, &lead, &mut act);

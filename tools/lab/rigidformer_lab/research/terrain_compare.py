@@ -198,6 +198,41 @@ def angle(a, b):
     return float(np.degrees(2 * np.arccos(min(1.0, abs(float(np.dot(a / np.linalg.norm(a), b / np.linalg.norm(b))))))))
 
 
+def cost(rf, model, rounds=7):
+    """Times of a step of twenty boxes, as multiples of those of flight over a plane: medians of turns."""
+    corners = (0.08 * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])).astype(np.float32)
+    hills = lambda x, y: 0.06 * np.sin(2.1 * x) * np.sin(1.7 * y)  # noqa: E731
+    fields = {
+        "a plane": None,
+        "10,201 heights": grid(101, 101, 0.04, hills),
+        "1,002,001 heights": grid(1001, 1001, 0.004, hills),
+    }
+
+    def world(ground, high, still):
+        made = rf.World(model, units=20, points=160, threads=1)
+        made.dt_s, made.network = 1 / 60, False
+        if ground is not None:
+            made.planes, made.height_field = [], rf.HeightField(ground[0], ground[1], corner_of(ground), friction=1.0)
+        for number in range(20):
+            x, y = 0.4 * (number % 5) - 0.8, 0.4 * (number // 5) - 0.6
+            made.add(rf.Unit(corners, 1.0, 0.8, 0.0), np.array([x, y, high, 1, 0, 0, 0], np.float32))
+        if still:
+            made.step(120)
+        return made.copy()
+
+    times = {}
+    for _ in range(rounds):
+        for name, ground in fields.items():
+            for state, high, still in (("flight", 100.0, False), ("landing", 0.2, False), ("at rest", 0.2, True)):
+                one = world(ground, high, still)
+                start = time.perf_counter()
+                one.step(20)
+                times.setdefault((state, name), []).append((time.perf_counter() - start) / 20)
+    base = np.median(times["flight", "a plane"])
+    for (state, name), spent in times.items():
+        print(f"{state:8} {name:18} {np.median(spent) / base:8.2f}")
+
+
 def main():
     import rigidformer as rf
 
@@ -205,9 +240,12 @@ def main():
     parser.add_argument("--draws", type=int, default=20)
     parser.add_argument("--seconds", type=float, default=1.0)
     parser.add_argument("--rate", type=float, default=60.0, help="steps a second")
+    parser.add_argument("--cost", action="store_true", help="times of steps instead")
     parser.add_argument("--seed", type=int, default=430_001)
     arguments = parser.parse_args()
     model = rf.Model("edge")
+    if arguments.cost:
+        return cost(rf, model)
     print(f"{'ground':18} {'body':5} {'position, mm':>13} {'turn, degrees':>14} {'a step, ms':>11} {'MuJoCo, mm':>11} {'degrees':>8}")
     for name in grounds(np.random.default_rng(0)):
         for kind in ("box", "ball", "heap"):

@@ -245,7 +245,7 @@ fn a_heap_on_hills_comes_to_rest_and_stays() {
 #[test]
 fn boxes_on_hills_come_to_rest() {
     let field = ground(40, 0.1, |x, y| 0.1 * (3.0 * x).sin() * (2.0 * y).cos());
-    let mut worst: (f32, f32) = (0.0, 0.0);
+    let (mut worst, mut still) = ((0.0_f32, 0.0_f32), 0);
     for friction in [0.7, 1.0] {
         for number in 0..16 {
             let field = HeightFieldBuf { friction, ..field.clone() };
@@ -266,14 +266,16 @@ fn boxes_on_hills_come_to_rest() {
                 turn = turn.max(velocity.angular_rad_s.norm());
             }
             let moved = (place(&world, id) - before).norm();
-            if most > 1e-3 {
+            if moved == 0.0 {
+                still += 1;
+            } else {
                 println!("{friction} {number}: {most} m/s {turn} rad/s, {moved} m");
             }
             worst = (worst.0.max(most), worst.1.max(moved));
         }
     }
     // They rock by thousandths of their size at most, and do not creep away.
-    assert!(worst.0 < 0.01 && worst.1 < 2e-3, "{worst:?}");
+    assert!(worst.0 < 0.01 && worst.1 < 2e-3 && still >= 28, "{worst:?}, {still} of 32 still");
 }
 
 #[test]

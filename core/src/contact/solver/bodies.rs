@@ -31,6 +31,9 @@ const HELD: f32 = 0.1;
 /// What touches something held, is slower at both ends of a step and stays within its skin rests, in gravity x dt: its pose then
 /// stays to the bit.
 const REST: f32 = 0.02;
+/// Times as fast as what rests elsewhere on ground of varying height.
+#[cfg(feature = "terrain")]
+const ROCKING: f32 = 2.0;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
 /// Parts of a substep that it may be cut by: a power of two, so that a whole one is a share of the step to the bit.
@@ -513,7 +516,13 @@ impl<'s> World<'s> {
                 .around(cluster_root)
                 .fold(0.0_f32, |most, (_, unit)| most.max(unit.current.centre.amax())),
         };
-        slow + slow.min(ROUNDING * most / dt)
+        let slow = slow + slow.min(ROUNDING * most / dt);
+        // On uneven ground a unit stands on other points in each substep, and rocks a little.
+        #[cfg(feature = "terrain")]
+        if self.terrain.is_some() {
+            return ROCKING * slow;
+        }
+        slow
     }
 
     /// As [`own_motion`](Self::own_motion), of the cluster that a unit is in, at its centre of mass: means by mass.

@@ -420,6 +420,10 @@ pub enum EditError {
         /// Which plane.
         plane: usize,
     },
+    /// Something is wrong with a height field.
+    #[cfg(feature = "terrain")]
+    #[error(transparent)]
+    HeightField(#[from] crate::contact::height_field::HeightFieldError),
     /// A contact law's number is out of range, or none.
     #[error("contact law: restitution_offset must be from 0 to 1")]
     BadContactLaw,
@@ -673,6 +677,11 @@ pub enum SnapshotError {
     /// A snapshot of another model.
     #[error("the snapshot is of another model, or of other weights of this one")]
     OtherModel,
+    /// A snapshot of a scene on another height field, or on none.
+    #[error(
+        "the snapshot is of a scene on another height field, or on none: set that one first (set_height_field)"
+    )]
+    OtherHeightField,
     /// A part that this build leaves out: joints, soft units, bonds, or units in quarantine.
     #[error(
         "the snapshot has joints, bonds, soft units or a quarantine, which this build leaves out"

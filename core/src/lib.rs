@@ -61,6 +61,8 @@ mod trace;
 mod workspace;
 
 pub use contact::ground::Plane;
+#[cfg(feature = "terrain")]
+pub use contact::height_field::{HeightField, HeightFieldError, MAX_HEIGHTS};
 pub use contact::law::{ContactLaw, FrictionLimit, NoContactLaw};
 pub use contact::pieces::Pieces;
 #[cfg(feature = "deform")]

@@ -586,6 +586,16 @@ pub(crate) fn members(
     })
 }
 
+/// Ground of varying height, and what is found of it once.
+#[cfg(feature = "terrain")]
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Terrain<'s> {
+    pub(crate) field: crate::contact::height_field::HeightField<'s>,
+    /// Its greatest height, metres.
+    pub(crate) highest_m: f32,
+    pub(crate) digest: u64,
+}
+
 /// The state of a rollout: units of one scene, or of several copies of it.
 pub(crate) struct Scene<'s> {
     /// Copy after copy; all copies have the same units. Those from `count` on are empty.
@@ -598,6 +608,8 @@ pub(crate) struct Scene<'s> {
     /// Extreme points of the units; empty for models without impacts.
     pub(crate) hulls: &'s mut [Point3<f32>],
     pub(crate) planes: heapless::Vec<Plane, MAX_PLANES>,
+    #[cfg(feature = "terrain")]
+    pub(crate) terrain: Option<Terrain<'s>>,
     /// How contact with each of them gives way.
     pub(crate) plane_compliance: OfCompliance<[Compliance; MAX_PLANES]>,
     pub(crate) measure: Measure,
@@ -619,6 +631,14 @@ pub(crate) struct Scene<'s> {
 }
 
 impl Scene<'_> {
+    /// A number of the height field, other than those of other ones; `None` where there is none.
+    pub(crate) fn terrain_digest(&self) -> Option<u64> {
+        #[cfg(feature = "terrain")]
+        return self.terrain.map(|terrain| terrain.digest);
+        #[cfg(not(feature = "terrain"))]
+        None
+    }
+
     /// How contact with a plane gives way, by its number.
     #[inline(always)]
     pub(crate) fn plane_compliance(&self, plane: usize) -> Compliance {

@@ -163,6 +163,7 @@ impl Predicted {
         let made = RecordedScene::new(name, scene.seed(), scene.split(), rate, gravity, units)?;
         let made = made.with_mesh(scene.mesh().clone())?.with_bonds(self.bonds(scene))?;
         let made = made.with_contact_law(scene.contact_law())?;
+        let made = made.with_height_field(scene.height_field().cloned())?;
         match scene.planes() {
             Some(planes) => made
                 .with_planes(planes.to_vec())?

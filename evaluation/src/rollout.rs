@@ -474,6 +474,7 @@ impl<'s> Replay<'s> {
             held: HeldBonds::default(),
         };
         replay.edit(|world| {
+            world.set_height_field(scene.height_field())?;
             world.edit(|simulator| {
                 simulator.set_gravity(scene.gravity_m_s2())?;
                 simulator.set_contact_law(scene.contact_law())?;

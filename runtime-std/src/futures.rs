@@ -17,6 +17,7 @@ use crate::models::LoadedModel;
 use crate::noise::Noise;
 use crate::pivots::{self, Pivot};
 use crate::pool;
+use crate::terrain::HeightFieldBuf;
 use crate::threads::Threads;
 use crate::world::{World, WorldError};
 
@@ -49,6 +50,8 @@ pub struct Start<'a> {
     pub plane_compliance: &'a [Compliance],
     /// How contacts that bounce differ from rigid ones; not at all where none is given, or as the state has it.
     pub contact_law: Option<ContactLaw>,
+    /// Ground of varying height; none where none is given, or as the state has it.
+    pub height_field: Option<&'a HeightFieldBuf>,
     /// Gravity, m/s²; the model's where there is none given.
     pub gravity_m_s2: Option<Vector3<f32>>,
     /// Pivots at which units are held together; [`pivots::find`] finds some.
@@ -539,6 +542,8 @@ impl BatchSimulator {
         self.room_for(copies, World::bytes(engine, &self.model, limits, copies)? as u64)?;
         let mut world = World::on(engine, &self.model, limits, copies)?;
         let takes_command = self.model.model().config().command_size > 0;
+        let of_state = start.state.and_then(StartState::height_field);
+        world.set_height_field(of_state)?;
         world.edit(|simulator| {
             if let Some(state) = start.state {
                 simulator.restore(state.snapshot().as_bytes())?;
@@ -575,6 +580,9 @@ impl BatchSimulator {
             }
             Ok::<_, BatchError>(())
         })?;
+        if let Some(field) = start.height_field {
+            world.set_height_field(Some(field))?;
+        }
         Ok(world)
     }
 

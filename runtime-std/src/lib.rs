@@ -10,6 +10,7 @@
 //! | [`kernels`] | the fastest arithmetic of this processor (`rigidformer-kernels`) |
 //! | [`threads`] | kernels on several threads |
 //! | [`pool`] | the threads, also of a forked process |
+//! | [`terrain`] | ground of varying height |
 //! | [`pivots`] | pivots between the links of articulated bodies, from their poses |
 //! | [`poses`] | free fall, velocities and headings, from poses alone |
 //! | [`hull`] | convex hulls of units |
@@ -40,5 +41,6 @@ pub mod pivots;
 pub mod pool;
 pub mod poses;
 pub mod progress;
+pub mod terrain;
 pub mod threads;
 pub mod world;

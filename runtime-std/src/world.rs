@@ -1,5 +1,8 @@
 //! A simulator that owns its model, its memory and its scene.
 
+use std::sync::Arc;
+
+use elsa::sync::FrozenVec;
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{
@@ -12,6 +15,7 @@ use self_cell::{MutBorrow, self_cell};
 use crate::engine::Engine;
 use crate::kernels::{HostKernels, KernelError, Run};
 use crate::models::LoadedModel;
+use crate::terrain::HeightFieldBuf;
 use crate::threads::{Threaded, Threads};
 
 /// A simulator that owns its model and memory, so that a struct can hold it and a thread can take it.
@@ -48,6 +52,8 @@ pub struct World {
     /// Of a scene, that there is room for.
     copies: usize,
     cell: Cell,
+    /// Of the height field that was set last.
+    heights: Option<Arc<[f32]>>,
     /// Of the last step.
     stepped: Vec<Stepped>,
 }
@@ -91,6 +97,8 @@ pub(crate) struct Undo {
 struct Storage {
     model: LoadedModel,
     memory: MutBorrow<Memory>,
+    /// Of all height fields that there were.
+    heights: FrozenVec<Arc<[f32]>>,
 }
 
 struct Memory {
@@ -161,7 +169,11 @@ impl World {
             points: filled(Point3::origin(), sizes.points)?,
             units: filled(UnitSlot::EMPTY, sizes.units)?,
         };
-        let storage = Storage { model: model.clone(), memory: MutBorrow::new(memory) };
+        let storage = Storage {
+            model: model.clone(),
+            memory: MutBorrow::new(memory),
+            heights: FrozenVec::new(),
+        };
         let cell = in_own_environment(|| {
             Cell::try_new(storage, |storage| {
                 let Memory { f32, i8, points, units } = storage.memory.borrow_mut();
@@ -171,7 +183,7 @@ impl World {
                 Simulator::with_layout(storage.model.model(), limits, copies, layout, slabs)
             })
         })?;
-        Ok(World { engine, copies, cell, stepped: Vec::new() })
+        Ok(World { engine, copies, cell, heights: None, stepped: Vec::new() })
     }
 
     /// Bytes that a world within these limits takes, beside the model.
@@ -195,6 +207,8 @@ impl World {
     pub fn try_clone(&self) -> Result<Self, WorldError> {
         let mut other =
             World::on(self.engine, self.model(), self.simulator().limits(), self.copies)?;
+        // The same model takes the same field.
+        let _ = other.set_height_field(self.height_field().as_ref());
         other.restore(&self.snapshot())?;
         other.stepped.clone_from(&self.stepped);
         Ok(other)
@@ -409,6 +423,61 @@ impl World {
     /// [`EditError`]; the law is what it was.
     pub fn set_contact_law(&mut self, law: ContactLaw) -> Result<(), EditError> {
         self.edit(|simulator| simulator.set_contact_law(law))
+    }
+
+    /// Puts the scene on ground of varying height, besides its planes; `None` takes it away ([`Simulator::set_height_field`]).
+    ///
+    /// The heights are shared, not copied, and stay in memory as long as the world: one that changes its ground often keeps all of them.
+    ///
+    /// ```
+    /// use nalgebra::{Isometry3, Point3, Vector3};
+    /// use rigidformer_core::{Limits, Physics, Unit};
+    /// use rigidformer_runtime::{models::LoadedModel, terrain::HeightFieldBuf, world::World};
+    ///
+    /// let slope = HeightFieldBuf {
+    ///     heights_m: [0.0, 2.0, 0.0, 2.0].into(),
+    ///     columns: 2,
+    ///     spacing_m: [4.0, 4.0],
+    ///     corner_m: Vector3::new(-2.0, -2.0, -1.0),
+    ///     friction: 0.1,
+    ///     restitution: 0.0,
+    /// };
+    /// let model = LoadedModel::embedded("edge", rigidformer_weights::EDGE)?;
+    /// let mut world = World::new(&model, Limits { units: 1, points: 8 })?;
+    /// world.set_dt(1.0 / 30.0)?;
+    /// world.set_height_field(Some(&slope))?;
+    /// # let corner = |i: usize, bit| if i & bit == 0 { -0.1 } else { 0.1 };
+    /// # let corners: Vec<_> = (0..8).map(|i| Point3::new(corner(i, 1), corner(i, 2), corner(i, 4))).collect();
+    /// # let ice = Physics { mass_kg: 1.0, friction: 0.1, restitution: 0.0 };
+    /// let cube = world.add(&Unit::new(&corners, ice), &Isometry3::translation(0.0, 0.0, 0.2))?;
+    /// (0..15).try_for_each(|_| world.step().map(drop))?;
+    /// assert!(world.pose(cube).is_some_and(|pose| pose.translation.x < -0.2), "it slides down");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`EditError`]; the ground is what it was.
+    pub fn set_height_field(&mut self, field: Option<&HeightFieldBuf>) -> Result<(), EditError> {
+        self.cell.with_dependent_mut(|storage, simulator| {
+            let Some(field) = field else { return simulator.set_height_field(None) };
+            field.view().check()?;
+            let heights = &storage.heights;
+            let is_same = |kept: &&[f32]| std::ptr::eq::<[f32]>(*kept, &*field.heights_m);
+            let kept = heights.iter().find(is_same);
+            let kept = kept.unwrap_or_else(|| heights.push_get(field.heights_m.clone()));
+            simulator.set_height_field(Some(field.over(kept)))
+        })?;
+        self.heights = field.map(|field| field.heights_m.clone());
+        Ok(())
+    }
+
+    /// The ground of varying height: see [`set_height_field`](Self::set_height_field).
+    pub fn height_field(&self) -> Option<HeightFieldBuf> {
+        let field = self.simulator().height_field()?;
+        let is_it = |heights: &&Arc<[f32]>| std::ptr::eq::<[f32]>(&***heights, field.heights_m);
+        // What was set through `edit` is not shared yet.
+        let heights = self.heights.as_ref().filter(is_it).cloned();
+        Some(HeightFieldBuf::shared(&field, heights.unwrap_or_else(|| field.heights_m.into())))
     }
 
     /// Replaces the planes of the scene; none is a scene without ground ([`Simulator::set_planes`]).

@@ -406,6 +406,15 @@ enum rf_status
    */
   RF_ERROR_STATE_FEATURE = 107,
   /**
+   * The state is of a scene on another height field, or on none: rf_set_height_field first.
+   */
+  RF_ERROR_STATE_HEIGHT_FIELD = 108,
+  /**
+   * The library was built without height fields (the feature `terrain` of rigidformer-capi, which `std` has), or
+   * the model does not move units by impulses, as edge and nano do.
+   */
+  RF_ERROR_NO_HEIGHT_FIELD = 110,
+  /**
    * The command has another length than the model's. Detail: `found`, `expected`.
    */
   RF_ERROR_COMMAND_SIZE = 112,
@@ -436,6 +445,11 @@ enum rf_status
    * The restitution offset of a contact law is NaN or outside 0 to 1.
    */
   RF_ERROR_BAD_CONTACT_LAW = 118,
+  /**
+   * A height field has fewer than 2 rows or columns or more than 4,194,304 heights, or a number of it is not
+   * finite or out of range. Detail: the `index` of the height, or RF_NONE.
+   */
+  RF_ERROR_BAD_HEIGHT_FIELD = 119,
   /**
    * A unit cannot be bonded to itself. Detail: the id `found`.
    */
@@ -887,6 +901,43 @@ typedef struct rf_plane {
    */
   float restitution;
 } rf_plane;
+
+/**
+ * Unmoving ground of varying height: a grid of heights, in rows along y and columns along x. Units stay above it; beyond
+ * its borders there is nothing. A cell between four heights is two triangles, which share the diagonal from its corner of
+ * least x and y.
+ */
+typedef struct rf_height_field {
+  /**
+   * (rows, columns) heights above the corner, metres. The simulator reads them in each step: they stay where they
+   * are, and as they are, until rf_set_height_field takes another field or the simulator is gone.
+   */
+  const float *heights_m;
+  /**
+   * At least 2; rows times columns is at most 4,194,304.
+   */
+  uint32_t rows;
+  /**
+   * At least 2.
+   */
+  uint32_t columns;
+  /**
+   * Between columns along x and between rows along y, metres, from 1e-4 to 1e4.
+   */
+  float spacing_m[2];
+  /**
+   * The place of a first height of zero, metres.
+   */
+  float corner_m[3];
+  /**
+   * Friction coefficient, from 0 to 1000.
+   */
+  float friction;
+  /**
+   * Restitution coefficient, from 0 to 1000.
+   */
+  float restitution;
+} rf_height_field;
 
 /**
  * A pair of units that hold together, or did.
@@ -1415,6 +1466,18 @@ rf_status rf_set_role(struct rf_simulator *simulator, rf_unit_id id, uint32_t ro
 rf_status rf_set_planes(struct rf_simulator *simulator,
                         const struct rf_plane *planes,
                         size_t count);
+
+/**
+ * Puts the scene on ground of varying height, besides its planes. It lasts beyond observations, and rf_save does not
+ * hold it. Impulses alone move units there: no network has seen such ground. Contact with it is rigid on its side.
+ *
+ * @param simulator  the simulator
+ * @param field      the ground, whose heights the simulator goes on reading; NULL takes it away
+ * @return RF_OK, an error of the call, RF_ERROR_BAD_HEIGHT_FIELD or RF_ERROR_NO_HEIGHT_FIELD. Where it is
+ *         refused, the ground is what it was
+ */
+rf_status rf_set_height_field(struct rf_simulator *simulator,
+                              const struct rf_height_field *field);
 
 /**
  * Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them

@@ -7,16 +7,20 @@ use crate::convert::{self, isometry};
 use crate::types::rf_status::RF_ERROR_NO_BONDS;
 #[cfg(not(feature = "compliance"))]
 use crate::types::rf_status::RF_ERROR_NO_COMPLIANCE;
+#[cfg(not(feature = "terrain"))]
+use crate::types::rf_status::RF_ERROR_NO_HEIGHT_FIELD;
 #[cfg(not(feature = "robot"))]
 use crate::types::rf_status::RF_ERROR_NO_JOINTS;
 use crate::types::rf_status::{self, RF_ERROR_TOO_MANY_PLANES};
 use crate::types::{
-    RF_MAX_PLANES, rf_bonded, rf_compliance, rf_detail, rf_physics, rf_plane, rf_pose,
-    rf_simulator, rf_unit, rf_unit_id, rf_velocity,
+    RF_MAX_PLANES, rf_bonded, rf_compliance, rf_detail, rf_height_field, rf_physics, rf_plane,
+    rf_pose, rf_simulator, rf_unit, rf_unit_id, rf_velocity,
 };
 #[cfg(feature = "robot")]
 use nalgebra::Point3;
 use nalgebra::Vector3;
+#[cfg(feature = "terrain")]
+use rigidformer_core::HeightField;
 #[cfg(feature = "robot")]
 use rigidformer_core::Joint;
 use rigidformer_core::{ContactLaw, FrictionLimit, MAX_PLANES, Plane, Simulator, UnitId, Velocity};
@@ -355,6 +359,61 @@ pub unsafe extern "C" fn rf_set_planes(
             Ok(locked.simulator().set_planes(planes)?)
         })
     }
+}
+
+/// Puts the scene on ground of varying height, besides its planes. It lasts beyond observations, and rf_save does not
+/// hold it. Impulses alone move units there: no network has seen such ground. Contact with it is rigid on its side.
+///
+/// @param simulator  the simulator
+/// @param field      the ground, whose heights the simulator goes on reading; NULL takes it away
+/// @return RF_OK, an error of the call, RF_ERROR_BAD_HEIGHT_FIELD or RF_ERROR_NO_HEIGHT_FIELD. Where it is
+///         refused, the ground is what it was
+///
+/// # Safety
+/// As rf_observe; and the heights stay where and as they are as long as the simulator has the field.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rf_set_height_field(
+    simulator: *mut rf_simulator,
+    field: *const rf_height_field,
+) -> rf_status {
+    // SAFETY: the caller's promise.
+    unsafe {
+        with_simulator(simulator, |locked| {
+            if field.is_null() {
+                return set_height_field(locked.simulator(), None, &[]);
+            }
+            let field = locked.one(field)?;
+            let count = (field.rows as usize).saturating_mul(field.columns as usize);
+            let heights = locked.input(field.heights_m, count)?;
+            set_height_field(locked.simulator(), Some(field), heights)
+        })
+    }
+}
+
+#[cfg(feature = "terrain")]
+fn set_height_field(
+    simulator: &mut Simulator<'static, 'static>,
+    field: Option<rf_height_field>,
+    heights_m: &'static [f32],
+) -> Result<(), rf_detail> {
+    let field = field.map(|field| HeightField {
+        heights_m,
+        columns: field.columns as usize,
+        spacing_m: field.spacing_m,
+        corner_m: field.corner_m.into(),
+        friction: field.friction,
+        restitution: field.restitution,
+    });
+    Ok(simulator.set_height_field(field)?)
+}
+
+#[cfg(not(feature = "terrain"))]
+fn set_height_field(
+    _: &mut Simulator<'_, '_>,
+    _: Option<rf_height_field>,
+    _: &[f32],
+) -> Result<(), rf_detail> {
+    Err(RF_ERROR_NO_HEIGHT_FIELD.into())
 }
 
 /// Lets the network correct motion, as it does at first, or leaves it out. Without it units move as the model moves them

@@ -24,7 +24,8 @@
 //! | `deform` | models of soft bodies, and soft units, which are otherwise refused (`RF_ERROR_NOT_SOFT`); `rf_bond`, `rf_break_bond` and `rf_bonds`, which otherwise return `RF_ERROR_NO_BONDS` |
 //! | `health` | `rf_health`, `rf_innovation` and `rf_set_quarantine`, which otherwise return `RF_ERROR_NO_HEALTH`, and models that say what training saw |
 //! | `compliance` | `rf_set_compliance` and `rf_set_plane_compliance`, which otherwise return `RF_ERROR_NO_COMPLIANCE` |
-//! | `host` | all models, also those whose network sees what is in contact, such as edge; and the four above |
+//! | `terrain` | `rf_set_height_field`, which otherwise returns `RF_ERROR_NO_HEIGHT_FIELD` |
+//! | `host` | all models, also those whose network sees what is in contact, such as edge; and the five above |
 //! | `tracker` | `std`, and `rf_tracker_...` of `include/rigidformer_tracker.h`, in memory of its own |
 #![no_std]
 #![deny(

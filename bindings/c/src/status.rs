@@ -3,6 +3,8 @@
 use crate::types::rf_status::{self, *};
 use crate::types::{RF_NONE, rf_detail};
 use core::ffi::CStr;
+#[cfg(feature = "terrain")]
+use rigidformer_core::HeightFieldError;
 #[cfg(feature = "robot")]
 use rigidformer_core::JoinError;
 #[cfg(feature = "deform")]
@@ -163,6 +165,14 @@ impl From<EditError> for rf_detail {
             EditError::NoSuchPlane { plane, planes } => {
                 Self::numbers(RF_ERROR_NO_SUCH_PLANE, plane as u64, planes as u64)
             }
+            #[cfg(feature = "terrain")]
+            EditError::HeightField(HeightFieldError::Model) => Self::of(RF_ERROR_NO_HEIGHT_FIELD),
+            #[cfg(feature = "terrain")]
+            EditError::HeightField(HeightFieldError::Height { height }) => {
+                Self::of(RF_ERROR_BAD_HEIGHT_FIELD).index(height as u32)
+            }
+            #[cfg(feature = "terrain")]
+            EditError::HeightField(_) => Self::of(RF_ERROR_BAD_HEIGHT_FIELD),
             EditError::BadContactLaw => Self::of(RF_ERROR_BAD_CONTACT_LAW),
             EditError::BadGravity => Self::of(RF_ERROR_BAD_GRAVITY),
             // A simulator of this interface has one copy of its scene.
@@ -246,6 +256,7 @@ impl From<SnapshotError> for rf_detail {
             SnapshotError::Version { found, supported } => {
                 Self::numbers(RF_ERROR_STATE_VERSION, found.into(), supported.into())
             }
+            SnapshotError::OtherHeightField => Self::of(RF_ERROR_STATE_HEIGHT_FIELD),
             SnapshotError::OtherModel => Self::of(RF_ERROR_STATE_MODEL),
             SnapshotError::LeftOut | SnapshotError::TooManyCopies { .. } => {
                 Self::of(RF_ERROR_STATE_FEATURE)
@@ -367,6 +378,8 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_STATE_VERSION, c"the state is of another version of the library"),
     (RF_ERROR_STATE_MODEL, c"the state is of another model"),
     (RF_ERROR_STATE_FEATURE, c"the state has what this library was built without"),
+    (RF_ERROR_STATE_HEIGHT_FIELD, c"the state is of a scene on another height field, or on none"),
+    (RF_ERROR_NO_HEIGHT_FIELD, c"this library was built without height fields, or the model does not move units by impulses"),
     (RF_ERROR_COMMAND_SIZE, c"the command has another length than the model's"),
     (RF_ERROR_COMMAND_NUMBER, c"a number of the command is not finite"),
     (RF_ERROR_BAD_VELOCITY, c"a unit would turn over half a turn a step, or there is not one velocity a unit"),
@@ -374,6 +387,7 @@ pub(crate) const TEXTS: &[(rf_status, &CStr)] = &[
     (RF_ERROR_NO_SUCH_PLANE, c"the scene has no plane of that number"),
     (RF_ERROR_NO_COMPLIANCE, c"this library was built without compliance"),
     (RF_ERROR_BAD_CONTACT_LAW, c"the restitution offset of a contact law is not from 0 to 1"),
+    (RF_ERROR_BAD_HEIGHT_FIELD, c"the shape, the place or a number of a height field is out of its range"),
     (RF_ERROR_BOND_ITSELF, c"a unit cannot be bonded to itself"),
     (RF_ERROR_BOND_NOT_FREE, c"only free rigid units hold together"),
     (RF_ERROR_BOND_JOINED, c"a unit that is joined to another cannot be bonded"),

@@ -222,6 +222,12 @@ pub enum rf_status {
     /// The state has joints, bonds, soft units, a quarantine or several copies of a scene, which this
     /// library was built without.
     RF_ERROR_STATE_FEATURE = 107,
+    /// The state is of a scene on another height field, or on none: rf_set_height_field first.
+    RF_ERROR_STATE_HEIGHT_FIELD = 108,
+
+    /// The library was built without height fields (the feature `terrain` of rigidformer-capi, which `std` has), or
+    /// the model does not move units by impulses, as edge and nano do.
+    RF_ERROR_NO_HEIGHT_FIELD = 110,
 
     /// The command has another length than the model's. Detail: `found`, `expected`.
     RF_ERROR_COMMAND_SIZE = 112,
@@ -241,6 +247,9 @@ pub enum rf_status {
     RF_ERROR_NO_COMPLIANCE = 117,
     /// The restitution offset of a contact law is NaN or outside 0 to 1.
     RF_ERROR_BAD_CONTACT_LAW = 118,
+    /// A height field has fewer than 2 rows or columns or more than 4,194,304 heights, or a number of it is not
+    /// finite or out of range. Detail: the `index` of the height, or RF_NONE.
+    RF_ERROR_BAD_HEIGHT_FIELD = 119,
 
     /// A unit cannot be bonded to itself. Detail: the id `found`.
     RF_ERROR_BOND_ITSELF = 120,
@@ -557,6 +566,29 @@ pub struct rf_unit {
     pub piece_counts: *const u16,
     /// How many pieces, at most RF_MAX_PIECES. 0: it touches with the hull of its points.
     pub piece_count: usize,
+}
+
+/// Unmoving ground of varying height: a grid of heights, in rows along y and columns along x. Units stay above it; beyond
+/// its borders there is nothing. A cell between four heights is two triangles, which share the diagonal from its corner of
+/// least x and y.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct rf_height_field {
+    /// (rows, columns) heights above the corner, metres. The simulator reads them in each step: they stay where they
+    /// are, and as they are, until rf_set_height_field takes another field or the simulator is gone.
+    pub heights_m: *const f32,
+    /// At least 2; rows times columns is at most 4,194,304.
+    pub rows: u32,
+    /// At least 2.
+    pub columns: u32,
+    /// Between columns along x and between rows along y, metres, from 1e-4 to 1e4.
+    pub spacing_m: [f32; 2],
+    /// The place of a first height of zero, metres.
+    pub corner_m: [f32; 3],
+    /// Friction coefficient, from 0 to 1000.
+    pub friction: f32,
+    /// Restitution coefficient, from 0 to 1000.
+    pub restitution: f32,
 }
 
 /// An unmoving plane: the points x with normal . x = offset_m. Units stay on the side that the

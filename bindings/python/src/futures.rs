@@ -14,6 +14,7 @@ use rigidformer_runtime::futures::{
 };
 use rigidformer_runtime::memory::Budget;
 use rigidformer_runtime::pivots::Pivot;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 use rigidformer_runtime::world::Snapshot;
 
 use crate::arrays::{self, Floats, POSE, Side};
@@ -24,7 +25,7 @@ use crate::interrupt::{held, interruptible};
 use crate::model::Model;
 use crate::pickle::Arguments;
 use crate::scene::Scene;
-use crate::unit::{Plane, Unit, array_of_vector, law_of, law_pair, planes, planes_of};
+use crate::unit::{HeightField, Plane, Unit, array_of_vector, law_of, law_pair, planes, planes_of};
 use crate::whole;
 use crate::world::engine;
 
@@ -55,13 +56,15 @@ const PHYSICS: usize = 3;
 ///     Stiffness, N/m, and dissipation, s/m, of contact with each plane. None given: all are rigid.
 /// contact_law : tuple of float and str, optional
 ///     As ``World.contact_law``. None: contacts are rigid, or as the state has it.
+/// height_field : HeightField, optional
+///     None: there is none, or as the state has it.
 /// gravity_m_s2 : array, (3,), optional
 ///     None: the model's.
 /// pivots : sequence of Pivot
 ///     Where units hang together, by their numbers in ``units``.
 /// state : (bytes, int, int), optional
-///     ``World.snapshot``, its units, and points that they have room in: what pickle makes ``World.start`` of. There are then no
-///     ``units``.
+///     ``World.snapshot``, its units, and points that they have room in: what pickle makes ``World.start`` of, with ``height_field``.
+///     There are then no ``units``.
 ///
 /// Raises
 /// ------
@@ -86,6 +89,7 @@ pub(crate) struct Start {
     planes: Option<Vec<core::Plane>>,
     plane_compliance: Vec<core::Compliance>,
     contact_law: Option<core::ContactLaw>,
+    height_field: Option<HeightFieldBuf>,
     gravity_m_s2: Option<Vector3<f32>>,
     pivots: Vec<Pivot>,
 }
@@ -113,6 +117,7 @@ impl Start {
             planes: self.planes.as_deref(),
             plane_compliance: &self.plane_compliance,
             contact_law: self.contact_law,
+            height_field: self.height_field.as_ref(),
             gravity_m_s2: self.gravity_m_s2,
             pivots: &self.pivots,
         }
@@ -134,6 +139,7 @@ impl Start {
             planes: None,
             plane_compliance: Vec::new(),
             contact_law: None,
+            height_field: None,
             gravity_m_s2: None,
             pivots: Vec::new(),
         }
@@ -143,7 +149,7 @@ impl Start {
 #[pymethods]
 impl Start {
     #[new]
-    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, plane_compliance = Vec::new(), contact_law = None, gravity_m_s2 = None, pivots = Vec::new(), state = None))]
+    #[pyo3(signature = (dt_s, units, previous, current, *, command = None, planes = None, plane_compliance = Vec::new(), contact_law = None, height_field = None, gravity_m_s2 = None, pivots = Vec::new(), state = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         dt_s: f32,
@@ -154,13 +160,17 @@ impl Start {
         planes: Option<Vec<Bound<'_, Plane>>>,
         plane_compliance: Vec<(f32, f32)>,
         contact_law: Option<(f32, String)>,
+        height_field: Option<Bound<'_, HeightField>>,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         pivots: Vec<Bound<'_, bonds::Pivot>>,
         state: Option<(Vec<u8>, usize, usize)>,
     ) -> PyResult<Self> {
         let count = Some(units.len());
+        let height_field = height_field.map(|field| field.get().field.clone());
         let state = state.map(|(snapshot, units, points)| {
-            StartState::new(Snapshot::from_bytes(snapshot), Limits { units, points }, dt_s)
+            let snapshot = Snapshot::from_bytes(snapshot);
+            StartState::new(snapshot, Limits { units, points }, dt_s)
+                .on_height_field(height_field.clone())
         });
         if state.is_some() && !(units.is_empty() && pivots.is_empty()) {
             return Err(input("a state has units and joints of its own; give none beside it"));
@@ -185,6 +195,7 @@ impl Start {
                 })
                 .collect(),
             contact_law: contact_law.map(|given| law_of(Some(given))).transpose()?,
+            height_field,
             gravity_m_s2: gravity_m_s2.map(|g| arrays::vector(g, "gravity_m_s2")).transpose()?,
             pivots: pivots.iter().map(|pivot| pivot.get().found()).collect(),
         })
@@ -254,6 +265,7 @@ impl Start {
             planes: scene.planes().map(<[core::Plane]>::to_vec),
             plane_compliance: scene.plane_compliance().to_vec(),
             contact_law: Some(scene.contact_law()),
+            height_field: scene.height_field().cloned(),
             gravity_m_s2: Some(scene.gravity_m_s2()),
             pivots,
         })
@@ -281,6 +293,9 @@ impl Start {
         // Of a rigid one as well: it may stand beside a state that has another.
         let law = self.contact_law.as_ref().map(law_pair);
         more.set_item("contact_law", law)?;
+        let of_state = self.state.as_ref().and_then(StartState::height_field);
+        let field = self.height_field.as_ref().or(of_state).cloned();
+        more.set_item("height_field", field.map(|field| HeightField { field }))?;
         more.set_item("gravity_m_s2", gravity)?;
         more.set_item("pivots", pivots)?;
         if let Some(state) = &self.state {

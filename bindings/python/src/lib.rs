@@ -78,7 +78,7 @@ mod _native {
     #[pymodule_export]
     use super::tools::{check, evaluate};
     #[pymodule_export]
-    use super::unit::{Plane, Unit};
+    use super::unit::{HeightField, Plane, Unit};
     #[pymodule_export]
     use super::walking::{WalkPlan, WalkPlanner};
     #[pymodule_export]

@@ -20,7 +20,7 @@ use crate::bonds::Pivot;
 use crate::errors::{OrRaise, input};
 use crate::interrupt::{free, held};
 use crate::perception::DepthView;
-use crate::unit::{Plane, Unit, array_of_vector, law, law_of, planes, planes_of};
+use crate::unit::{HeightField, Plane, Unit, array_of_vector, law, law_of, planes, planes_of};
 use crate::whole;
 
 /// The program's, byte for byte: a source distribution holds no file of another folder that is no crate of its own.
@@ -203,6 +203,8 @@ impl Dataset {
 /// gravity_m_s2 : array, (3,)
 /// contact_law : tuple of float and str, optional
 ///     As ``World.contact_law``: of what recorded the scene. None: contacts are rigid.
+/// height_field : HeightField, optional
+///     Ground of varying height that it is on, besides its planes.
 /// planes : sequence of Plane, optional
 ///     None: not known, and rollouts stand on the model's ground.
 /// commands : array of float32, (frames, size), optional
@@ -235,7 +237,7 @@ pub(crate) struct Scene {
 #[pymethods]
 impl Scene {
     #[new]
-    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, contact_law = None, planes = None, commands = None, soft_points = None, bonds = Vec::new(), name = "scene", seed = 0, split = "extra"))]
+    #[pyo3(signature = (units, poses, frame_rate_hz, *, gravity_m_s2 = None, contact_law = None, height_field = None, planes = None, commands = None, soft_points = None, bonds = Vec::new(), name = "scene", seed = 0, split = "extra"))]
     #[expect(clippy::too_many_arguments, reason = "Python's are named")]
     fn new(
         units: Vec<Bound<'_, Unit>>,
@@ -243,6 +245,7 @@ impl Scene {
         frame_rate_hz: f32,
         gravity_m_s2: Option<&Bound<'_, PyAny>>,
         contact_law: Option<(f32, String)>,
+        height_field: Option<Bound<'_, HeightField>>,
         planes: Option<Vec<Bound<'_, Plane>>>,
         commands: Option<&Bound<'_, PyAny>>,
         soft_points: Option<&Bound<'_, PyAny>>,
@@ -268,6 +271,8 @@ impl Scene {
         let recorded = recorded.collect();
         let scene = RecordedScene::new(name, seed, split, frame_rate_hz, gravity, recorded);
         let mut scene = scene.or_raise()?.with_contact_law(law_of(contact_law)?).or_raise()?;
+        let height_field = height_field.map(|field| field.get().field.clone());
+        scene = scene.with_height_field(height_field).or_raise()?;
         if let Some(planes) = planes {
             scene = scene.with_planes(planes_of(&planes)).or_raise()?;
         }
@@ -291,6 +296,7 @@ impl Scene {
         let mut scene =
             RecordedScene::new(name, seed, split, rate, read.gravity_m_s2(), units).or_raise()?;
         scene = scene.with_contact_law(read.contact_law()).or_raise()?;
+        scene = scene.with_height_field(read.height_field().cloned()).or_raise()?;
         if let Some(planes) = read.planes().filter(|_| knows_planes) {
             scene = scene.with_planes(planes.to_vec()).or_raise()?;
             let compliance = read.plane_compliance().to_vec();
@@ -357,6 +363,12 @@ impl Scene {
     #[getter]
     fn contact_law(&self) -> Option<(f32, &'static str)> {
         law(&self.scene.contact_law())
+    }
+
+    /// HeightField or None: ground of varying height that it is on, besides its planes.
+    #[getter]
+    fn height_field(&self) -> Option<HeightField> {
+        self.scene.height_field().cloned().map(|field| HeightField { field })
     }
 
     /// tuple of Unit: with points in their reference frames. Soft units are their points at rest; where a scene does not say how stiff

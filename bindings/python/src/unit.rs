@@ -7,9 +7,10 @@ use pyo3::types::{PyDict, PyTuple};
 use rigidformer_core::{self as core, Compliance, Physics, Role};
 use rigidformer_evaluation::convex_pieces::ConvexPieces;
 use rigidformer_evaluation::scenes::RecordedUnit;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use crate::arrays::{self, Floats};
-use crate::errors::input;
+use crate::errors::{OrRaise, input};
 use crate::pickle::Arguments;
 use crate::whole;
 
@@ -381,6 +382,130 @@ impl Plane {
         format!(
             "Plane([{}, {}, {}], offset_m={offset_m}, friction={friction}, restitution={restitution})",
             n.x, n.y, n.z
+        )
+    }
+}
+
+/// Unmoving ground of varying height: a grid of heights. Units stay above it; beyond its borders there is nothing.
+///
+/// A cell between four heights is two triangles, which share the diagonal from its corner of least x and y, as MuJoCo's hfield has
+/// it. Contact with it is rigid on its side, and impulses alone move units there: no network has seen such ground.
+///
+/// Parameters
+/// ----------
+/// heights_m : array of float32, (rows, columns)
+///     Heights above the corner, metres; rows go along y and columns along x. At least 2 of each, at most 4,194,304 heights.
+/// spacing_m : float or array, (2,)
+///     Between columns along x and between rows along y, metres, from 1e-4 to 1e4.
+/// corner_m : array, (3,)
+///     The place of a first height of zero.
+/// friction, restitution : float
+///     From 0 to 1000.
+///
+/// Raises
+/// ------
+/// InputError, TypeError
+///     An array has another shape or no real numbers, or a number is out of range.
+///
+/// Source: ``core/src/contact/height_field.rs``.
+///
+/// >>> import numpy as np, rigidformer as rf
+/// >>> x, y = np.meshgrid(np.arange(-5, 6), np.arange(-5, 6))
+/// >>> bowl = rf.HeightField(0.01 * (x**2 + y**2), 0.1, [-0.5, -0.5, 0])
+/// >>> bowl
+/// HeightField(11 x 11, spacing_m=[0.1, 0.1], friction=0.5, restitution=0.4)
+/// >>> round(bowl.height_m(0.3, 0), 6)
+/// 0.09
+#[pyclass(frozen, module = "rigidformer")]
+pub(crate) struct HeightField {
+    pub(crate) field: HeightFieldBuf,
+}
+
+#[pymethods]
+impl HeightField {
+    #[new]
+    #[pyo3(signature = (heights_m, spacing_m, corner_m = None, friction = 0.5, restitution = 0.4))]
+    fn new(
+        heights_m: &Bound<'_, PyAny>,
+        spacing_m: &Bound<'_, PyAny>,
+        corner_m: Option<&Bound<'_, PyAny>>,
+        friction: f32,
+        restitution: f32,
+    ) -> PyResult<Self> {
+        let heights = Floats::of(heights_m, "heights_m", &[None, None])?;
+        let spacing_m = match spacing_m.extract::<f32>() {
+            Ok(spacing_m) => [spacing_m; 2],
+            Err(_) => arrays::pair(spacing_m, "spacing_m")?,
+        };
+        let corner_m = corner_m.map(|corner| arrays::vector(corner, "corner_m")).transpose()?;
+        let field = HeightFieldBuf {
+            heights_m: heights.slice()?.into(),
+            columns: heights.side(1),
+            spacing_m,
+            corner_m: corner_m.unwrap_or_default(),
+            friction,
+            restitution,
+        };
+        field.view().check().or_raise()?;
+        Ok(HeightField { field })
+    }
+
+    /// float32 (rows, columns): heights above the corner, metres. Read-only.
+    #[getter]
+    fn heights_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let shape = [self.field.view().rows(), self.field.columns];
+        arrays::read_only(arrays::array(py, self.field.heights_m.to_vec(), &shape)?)
+    }
+
+    /// tuple of float: between columns along x and between rows along y, metres.
+    #[getter]
+    fn spacing_m(&self) -> (f32, f32) {
+        self.field.spacing_m.into()
+    }
+
+    /// float32 (3,): the place of a first height of zero. Read-only.
+    #[getter]
+    fn corner_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        array_of_vector(py, &self.field.corner_m)
+    }
+
+    /// Friction coefficient.
+    #[getter]
+    fn friction(&self) -> f32 {
+        self.field.friction
+    }
+
+    /// Restitution coefficient.
+    #[getter]
+    fn restitution(&self) -> f32 {
+        self.field.restitution
+    }
+
+    /// Height of the ground at a place.
+    ///
+    /// Parameters
+    /// ----------
+    /// x_m, y_m : float
+    ///
+    /// Returns
+    /// -------
+    /// float or None
+    ///     Metres; None beyond the borders.
+    fn height_m(&self, x_m: f32, y_m: f32) -> Option<f32> {
+        self.field.view().height_m(x_m, y_m)
+    }
+
+    fn __getnewargs__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        let (heights, corner) = (self.heights_m(py)?, self.corner_m(py)?);
+        let arguments = (heights, self.spacing_m(), corner, self.friction(), self.restitution());
+        arguments.into_pyobject(py)
+    }
+
+    fn __repr__(&self) -> String {
+        let HeightFieldBuf { columns, spacing_m, friction, restitution, .. } = &self.field;
+        let rows = self.field.view().rows();
+        format!(
+            "HeightField({rows} x {columns}, spacing_m={spacing_m:?}, friction={friction}, restitution={restitution})"
         )
     }
 }

@@ -25,7 +25,7 @@ use crate::interrupt::{TICK, free, held};
 use crate::locked::Locked;
 use crate::model::Model;
 use crate::unit::{
-    Plane, Unit, array_of_vector, law, law_of, planes, planes_of, role_name, role_of,
+    HeightField, Plane, Unit, array_of_vector, law, law_of, planes, planes_of, role_name, role_of,
 };
 use crate::whole;
 
@@ -830,9 +830,11 @@ impl World {
         let world = self.lock(py)?;
         let (limits, threads) = (world.simulator().limits(), world.engine().threads.count());
         let state = PyBytes::new(py, world.snapshot().as_bytes());
+        let field = world.height_field().map(|field| HeightField { field });
         drop(world);
         let again = py.import(intern!(py, "rigidformer._state"))?.getattr(intern!(py, "world"))?;
-        let arguments = (self.model.clone_ref(py), limits.units, limits.points, threads, state);
+        let arguments =
+            (self.model.clone_ref(py), limits.units, limits.points, threads, state, field);
         (again, arguments).into_pyobject(py)
     }
 
@@ -1407,6 +1409,22 @@ impl World {
     #[setter]
     fn set_planes(&self, py: Python<'_>, planes: Vec<Bound<'_, Plane>>) -> PyResult<()> {
         self.lock(py)?.set_planes(&planes_of(&planes)).or_raise()
+    }
+
+    /// HeightField or None: ground of varying height, besides the planes. Impulses alone move units on it.
+    #[getter]
+    fn height_field(&self, py: Python<'_>) -> PyResult<Option<HeightField>> {
+        Ok(self.lock(py)?.height_field().map(|field| HeightField { field }))
+    }
+
+    #[setter]
+    fn set_height_field(
+        &self,
+        py: Python<'_>,
+        field: Option<Bound<'_, HeightField>>,
+    ) -> PyResult<()> {
+        let field = field.as_ref().map(|field| &field.get().field);
+        self.lock(py)?.set_height_field(field).or_raise()
     }
 
     /// Whether a unit that diverges is held until it is given poses, instead of the step being refused.

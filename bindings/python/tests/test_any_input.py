@@ -130,6 +130,7 @@ def sound_calls(nano, scene, folder, random):
     """All public calls: a name, what is called, and arguments that it takes."""
     world, first = falling(nano)
     second = world.add(rf.Unit(cube(), role="driven"), at(x=1.0, z=1.0))
+    field = rf.HeightField(np.zeros((4, 4)), 1.0, [-1, -1, -1])
     unit, plane, pose = rf.Unit(cube()), rf.Plane([0, 0, 1]), at(z=1.0)
     hinged, hinge = falling(nano)
     post = hinged.add(rf.Unit(cube(), role="fixed"), at(x=1.0, z=1.0))
@@ -243,6 +244,11 @@ def sound_calls(nano, scene, folder, random):
         "World.planes": (setting(world, "planes"), {"value": [plane]}),
         "World.quarantine": (setting(world, "quarantine"), {"value": True}),
         "World.network": (setting(world, "network"), {"value": False}),
+        "World.height_field": (setting(world, "height_field"), {"value": field}),
+        "HeightField": (rf.HeightField, {
+            "heights_m": np.zeros((3, 4), f32), "spacing_m": 0.5, "corner_m": np.zeros(3, f32), "friction": 0.5, "restitution": 0.4,
+        }),
+        "HeightField.height_m": (field.height_m, {"x_m": 0.1, "y_m": 0.2}),
         "World.contact_law": (setting(world, "contact_law"), {"value": (0.03, "pyramid")}),
         "Dataset": (rf.Dataset, {"path": folder / "saved.safetensors"}),
         "Dataset.from_bytes": (
@@ -262,7 +268,7 @@ def sound_calls(nano, scene, folder, random):
         }),
         "Scene": (rf.Scene, {
             "units": [unit, unit], "poses": np.stack([poses] * 4), "frame_rate_hz": 60.0, "gravity_m_s2": np.ones(3, f32),
-            "contact_law": (0.03, "cone"), "planes": [plane], "commands": None, "soft_points": None, "bonds": [(0, 1, None)], "name": "s", "seed": 1,
+            "contact_law": (0.03, "cone"), "height_field": field, "planes": [plane], "commands": None, "soft_points": None, "bonds": [(0, 1, None)], "name": "s", "seed": 1,
             "split": "test",
         }),
         "Scene.points": (scene.points, {"frame": 1}),
@@ -280,7 +286,7 @@ def sound_calls(nano, scene, folder, random):
         "Trajectory.errors": (trajectory.errors, {"scene": scene, "frame": 20}),
         "Start": (rf.Start, {
             "dt_s": 0.04, "units": [unit, unit], "previous": poses, "current": poses, "command": None, "planes": [plane],
-            "gravity_m_s2": np.ones(3, f32), "contact_law": (0.03, "cone"), "state": None,
+            "gravity_m_s2": np.ones(3, f32), "contact_law": (0.03, "cone"), "height_field": field, "state": None,
         }),
         "Start.of_scene": (rf.Start.of_scene, {"scene": scene, "step": 10, "frame": 10, "join": False}),
         "VelocityNoise": (rf.VelocityNoise, {"seed": 1, "linear_m_s": 0.1, "angular_rad_s": 0.1}),

@@ -126,6 +126,46 @@ def test_copies_go_on_by_themselves():
     assert len(world) == 3
 
 
+def test_ground_of_varying_height_is_of_the_scene(tmp_path):
+    x, y = np.meshgrid(np.linspace(-2, 2, 41), np.linspace(-2, 2, 41))
+    hills = rf.HeightField(0.1 * np.sin(3 * x) * np.cos(2 * y), 0.1, [-2, -2, 0], friction=0.7, restitution=0.1)
+    kept = pickle.loads(pickle.dumps(hills))
+    assert (kept.heights_m == hills.heights_m).all() and not kept.heights_m.flags.writeable
+    assert kept.spacing_m == hills.spacing_m and (kept.corner_m == hills.corner_m).all()
+    assert hills.height_m(0, 0) == pytest.approx(0, abs=1e-6) and hills.height_m(3, 0) is None
+    model, corners = rf.Model("edge"), 0.1 * np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], np.float32)
+    world = rf.World(model, units=4, points=64)
+    world.dt_s, world.planes, world.height_field = 1 / 60, [], hills
+    for number in range(4):
+        world.add(rf.Unit(corners, friction=0.7), [0.3 * number, 0.1, 0.3, 1, 0, 0, 0])
+    others = [world.copy(), pickle.loads(pickle.dumps(world))]
+    start = pickle.loads(pickle.dumps(world.start()))
+    snapshot, first = world.snapshot(), world.rollout(60)
+    assert all((other.rollout(60) == first).all() for other in others)
+    assert (rf.BatchSimulator(model).run(start, 1, 60).poses[0] == first).all()
+    assert first[-1, :, 2].min() > -0.05
+    # A file has it, and what predicts it stands on it.
+    more = dict(planes=[], gravity_m_s2=[0, 0, -9.81], height_field=hills)
+    scene = rf.Scene([rf.Unit(corners, friction=0.7)] * 4, first, 60, **more)
+    scene.save(tmp_path / "hills.safetensors", dataset="d", provenance="p", licence="l")
+    read = rf.Dataset(tmp_path / "hills.safetensors").scene(0)
+    assert (read.height_field.heights_m == hills.heights_m).all()
+    assert pickle.loads(pickle.dumps(read)).height_field.friction == hills.friction
+    rolled = rf.rollout(model, read, step=1, last_frame=59).poses
+    assert rolled[-1, :, 2].min() > -0.05
+    world.height_field = None
+    with pytest.raises(rf.InputError, match="height field"):
+        world.restore(snapshot)
+    for wrong in (np.zeros((1, 5)), np.zeros(5), np.full((2, 2), np.nan)):
+        with pytest.raises(rf.InputError):
+            rf.HeightField(wrong, 0.1)
+    for wrong in (0, -1, np.nan, [0.1, 0.1, 0.1], 1e6):
+        with pytest.raises(rf.InputError):
+            rf.HeightField(np.zeros((2, 2)), wrong)
+    with pytest.raises(rf.InputError, match="planes alone"):
+        rf.World(rf.Model(MODELS / "g1.rfm")).height_field = hills
+
+
 def test_a_contact_law_is_of_the_scene(tmp_path):
     scene = rf.Dataset.embedded().scene(0)
     assert scene.contact_law is None
@@ -221,8 +261,8 @@ def test_what_is_no_snapshot_is_refused():
 
 def test_pickles_of_worlds_are_checked():
     world = rigid("nano")
-    callee, (model, units, points, threads, snapshot) = world.__reduce__()
-    assert callee(model, units, points, threads, snapshot).snapshot() == snapshot
+    callee, (model, units, points, threads, snapshot, field) = world.__reduce__()
+    assert field is None and callee(model, units, points, threads, snapshot).snapshot() == snapshot
     with pytest.raises(rf.InputError):
         callee(model, units, points, threads, snapshot[:-1])
     with pytest.raises(rf.InputError):

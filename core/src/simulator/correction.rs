@@ -64,7 +64,7 @@ impl Simulator<'_, '_> {
 
     /// Whether the network corrects motion: see [`set_network`](Self::set_network). Models that have
     /// [`most_units`](rigidformer_weights::ModelConfig::most_units) leave copies of more units, and scenes whose
-    /// [contact law](Self::set_contact_law) is not rigid, alone all the same.
+    /// [contact law](Self::set_contact_law) is not rigid, alone all the same. So does every model on a height field.
     pub fn has_network(&self) -> bool {
         self.has_network
     }
@@ -120,6 +120,7 @@ impl Simulator<'_, '_> {
     pub(super) fn corrects(&self) -> bool {
         let most = self.model.config().most_units as usize;
         let is_known = self.scene.per_copy <= most && self.scene.contact_law.is_rigid();
-        self.has_network && (most == 0 || is_known)
+        // No network has seen a height field.
+        self.has_network && (most == 0 || is_known) && self.scene.terrain_digest().is_none()
     }
 }

@@ -8,6 +8,7 @@
 //! | `command` | changes between steps: units, commands, planes, gravity, time |
 //! | `correction` | whether the network corrects motion, and what it corrects |
 //! | `law` | how contacts bounce |
+//! | `terrain` | ground of varying height |
 //! | `velocity` | velocities of units, read and set |
 //! | `bond` | bonds between units |
 //! | `join` | joints between units |
@@ -43,6 +44,8 @@ mod snapshot;
 mod state;
 mod step;
 mod substeps;
+#[cfg(feature = "terrain")]
+mod terrain;
 mod units;
 mod velocity;
 

@@ -174,6 +174,8 @@ impl<'m, 's> Simulator<'m, 's> {
                 points,
                 hulls,
                 planes: planes.clone(),
+                #[cfg(feature = "terrain")]
+                terrain: None,
                 plane_compliance: OfCompliance::new([Compliance::RIGID; MAX_PLANES]),
                 measure: Measure::SI,
                 second: OfForce::new(1.0),

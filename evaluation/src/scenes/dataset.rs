@@ -10,12 +10,13 @@ use rigidformer_core::kernels::in_own_environment;
 use rigidformer_core::{Compliance, ContactLaw, Physics, Plane, Role};
 use rigidformer_runtime::files::{FileError, read_whole};
 use rigidformer_runtime::memory::{Budget, TooLarge};
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::check::{Tensors, elements, error};
 use super::read::{
-    FileCommands, Listed, POSE_NUMBERS, Shape, Unit, read_bonds, read_commands, read_compliance,
-    read_list, read_pieces, read_planes, read_pose, read_roles, read_scene_frames, read_shapes,
-    read_units,
+    FileCommands, FileHeightFields, Listed, POSE_NUMBERS, Shape, Unit, read_bonds, read_commands,
+    read_compliance, read_list, read_pieces, read_planes, read_pose, read_roles, read_scene_frames,
+    read_shapes, read_units,
 };
 use super::recorded::{SoftMesh, only_ground};
 use super::{Problem, RecordedBond, RecordedScene, RecordedUnit, SceneError, Split};
@@ -53,6 +54,7 @@ pub struct Dataset {
     scene_planes: Option<Vec<usize>>,
     /// Numbers in a command, (scenes, frames, numbers)
     commands: Option<FileCommands>,
+    height_fields: FileHeightFields,
     provenance: String,
     licence: String,
     shapes: Vec<Shape>,
@@ -176,6 +178,10 @@ impl Dataset {
             let commands = read_commands(&file, scenes, frames)?;
             (planes, Some(scene_planes), commands, read_scene_frames(&file, scenes, frames)?)
         };
+        let height_fields = match version > 1 && file.has("height_fields") {
+            true => FileHeightFields::read(&file, scenes)?,
+            false => FileHeightFields::default(),
+        };
         let mut soft = 0usize;
         let mut soft_rows = Vec::with_capacity(units.len());
         for unit in &units {
@@ -226,6 +232,7 @@ impl Dataset {
             plane_compliance,
             scene_planes,
             commands,
+            height_fields,
             provenance,
             licence,
             shapes,
@@ -289,6 +296,11 @@ impl Dataset {
             Some(rows) => self.planes.get(*rows.get(index)?..*rows.get(index.checked_add(1)?)?),
             None => (index < self.len()).then_some(&self.planes),
         }
+    }
+
+    /// The ground of varying height of a scene.
+    pub fn height_field_of(&self, index: usize) -> Option<&HeightFieldBuf> {
+        self.height_fields.of(index)
     }
 
     /// The plane z = 0, if that is the only plane of every scene.
@@ -597,6 +609,7 @@ impl Dataset {
         let scene = RecordedScene::new(name, seed, split, self.frame_rate_hz, gravity, units)
             .map_err(in_file)?
             .with_checked_contact_law(self.contact_law)
+            .with_checked_height_field(self.height_field_of(index).cloned())
             .with_checked_planes(self.planes_of(index).unwrap_or_default().to_vec())
             .with_checked_plane_compliance(self.plane_compliance_of(index).to_vec())
             .with_checked_mesh(self.mesh_of(index))

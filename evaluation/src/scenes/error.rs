@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use rigidformer_core::HeightFieldError;
 use rigidformer_runtime::memory::TooLarge;
 
 use super::split::Split;
@@ -146,6 +147,25 @@ pub enum Problem {
     /// A contact law out of range.
     #[error("needs a contact law whose restitution_offset is from 0 to 1")]
     BadContactLaw,
+    /// A height field that is none.
+    #[error("{0}")]
+    BadHeightField(HeightFieldError),
+    /// Heights that no height field has.
+    #[error("has {found} numbers, the height fields have {expected}")]
+    Heights {
+        /// Numbers in the file.
+        found: usize,
+        /// Rows times columns of all fields.
+        expected: usize,
+    },
+    /// More than one height field in a scene.
+    #[error("scene {scene} has {fields} height fields")]
+    TooManyHeightFields {
+        /// Which scene.
+        scene: usize,
+        /// How many it has.
+        fields: usize,
+    },
     /// A row of a soft body's mesh put together wrongly.
     #[error("row {row} of {list} {what}")]
     BadMesh {
@@ -208,8 +228,13 @@ impl Problem {
             | Problem::BadPlane { .. }
             | Problem::BadPlaneCompliance { .. }
             | Problem::BadContactLaw
+            | Problem::BadHeightField(_)
             | Problem::BadMesh { .. }
             | Problem::BadBond { .. } => "correct the scene before using it",
+            Problem::Heights { .. } => {
+                "write the heights of each field once, in the order of height_fields"
+            }
+            Problem::TooManyHeightFields { .. } => "keep at most one height field a scene",
             Problem::TooManyPlanes { .. } => "keep at most 8 planes a scene",
             Problem::FixedMoves { .. } => {
                 "give the unit one pose in all frames, or role 1 (driven) in unit_role"

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rigidformer_core::{Compliance, MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::check::{Tensors, elements};
 use super::recorded::{MAX_BODY, ROLES, Velocity, is_inertia, row_problem};
@@ -400,6 +401,77 @@ pub(super) fn read_planes(
     }
     Ok((planes, offsets))
 }
+
+/// Grounds of varying height of a file, and which of them each scene has.
+#[derive(Default)]
+pub(super) struct FileHeightFields {
+    all: Vec<HeightFieldBuf>,
+    /// (scenes + 1); empty where no scene has any.
+    of_scenes: Vec<usize>,
+}
+
+impl FileHeightFields {
+    /// Those of files that have them.
+    pub(super) fn read(file: &Tensors<'_>, scenes: usize) -> Result<Self, SceneError> {
+        let ([count, _], rows) = file.f32("height_fields", [None, Some(FIELD_NUMBERS)])?;
+        let (_, heights) = file.f32("heights", [None])?;
+        file.count::<HeightFieldBuf>("tensor height_fields", count)?;
+        let mut rest = heights.as_slice();
+        let mut all = Vec::with_capacity(count);
+        for (row, numbers) in rows.as_chunks::<FIELD_NUMBERS>().0.iter().enumerate() {
+            let [height_rows, columns, dx, dy, x, y, z, friction, restitution] = *numbers;
+            let bad = |expected| {
+                Err(file.bad_value("height_fields", row, format!("{numbers:?}"), expected))
+            };
+            let is_whole = |number: f32| number.fract() == 0.0 && (2.0..=4e6).contains(&number);
+            if !is_whole(height_rows) || !is_whole(columns) {
+                return bad("whole numbers of rows and columns first, of at least 2");
+            }
+            // Small enough for both, whatever a usize is.
+            let count = (height_rows as u64).saturating_mul(columns as u64);
+            let own = usize::try_from(count).ok().and_then(|count| rest.split_at_checked(count));
+            let Some((own, behind)) = own else {
+                return bad("rows and columns that the tensor heights has numbers for");
+            };
+            rest = behind;
+            let field = HeightFieldBuf {
+                heights_m: own.into(),
+                columns: columns as usize,
+                spacing_m: [dx, dy],
+                corner_m: Vector3::new(x, y, z),
+                friction,
+                restitution,
+            };
+            if let Err(cause) = field.view().check() {
+                let name = format!("tensor height_fields, row {row}");
+                return Err(file.fail(name, Problem::BadHeightField(cause)));
+            }
+            all.push(field);
+        }
+        if !rest.is_empty() {
+            let (found, expected) = (heights.len(), heights.len() - rest.len());
+            return Err(file.fail("tensor heights", Problem::Heights { found, expected }));
+        }
+        let of_scenes = file.ascending_offsets("scene_height_fields", scenes, count)?;
+        for (scene, (start, end)) in of_scenes.iter().zip(of_scenes.iter().skip(1)).enumerate() {
+            let fields = end.saturating_sub(*start);
+            if fields > 1 {
+                let problem = Problem::TooManyHeightFields { scene, fields };
+                return Err(file.fail("tensor scene_height_fields", problem));
+            }
+        }
+        Ok(FileHeightFields { all, of_scenes })
+    }
+
+    /// That of a scene.
+    pub(super) fn of(&self, scene: usize) -> Option<&HeightFieldBuf> {
+        let (start, end) = (*self.of_scenes.get(scene)?, *self.of_scenes.get(scene + 1)?);
+        self.all.get(start..end)?.first()
+    }
+}
+
+/// Rows, columns, spacing along x and y, corner, friction and restitution of a height field.
+pub(super) const FIELD_NUMBERS: usize = 9;
 
 /// Commands of a file.
 pub(super) struct FileCommands {

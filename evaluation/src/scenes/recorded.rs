@@ -9,6 +9,7 @@ use rigidformer_core::{
     Compliance, ContactLaw, MAX_PIECES, MAX_PLANES, Physics, Plane, Role, Unit,
 };
 use rigidformer_runtime::pivots::Pivot;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::bonds::{RecordedBond, clusters};
 use super::split::Split;
@@ -234,6 +235,7 @@ pub struct RecordedScene {
     /// Of each plane; none: all are rigid.
     plane_compliance: Vec<Compliance>,
     contact_law: ContactLaw,
+    height_field: Option<HeightFieldBuf>,
     commands: Option<Commands>,
     pivots: Vec<Pivot>,
     mesh: SoftMesh,
@@ -304,6 +306,7 @@ impl RecordedScene {
             planes,
             plane_compliance: Vec::new(),
             contact_law: ContactLaw::RIGID,
+            height_field: None,
             commands,
             pivots,
             mesh: SoftMesh::default(),
@@ -498,6 +501,51 @@ impl RecordedScene {
         self.contact_law
     }
 
+    /// The same scene on ground of varying height.
+    ///
+    /// # Errors
+    /// [`Problem::BadHeightField`].
+    ///
+    /// ```
+    /// # use nalgebra::{Isometry3, Point3, Vector3};
+    /// # use rigidformer_core::Physics;
+    /// # use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit, Split};
+    /// use rigidformer_runtime::terrain::HeightFieldBuf;
+    /// # let physics = Physics { mass_kg: 1.0, friction: 0.4, restitution: 0.3 };
+    /// # let unit = RecordedUnit::new("x", vec![Point3::origin(); 4], physics, vec![Isometry3::identity()]);
+    /// # let scene = RecordedScene::new("drop", 1, Split::Test, 240.0, Vector3::zeros(), vec![unit])?;
+    /// let ramp = HeightFieldBuf {
+    ///     heights_m: [0.0, 0.1, 0.0, 0.1].into(),
+    ///     columns: 2,
+    ///     spacing_m: [1.0, 1.0],
+    ///     corner_m: Vector3::new(-0.5, -0.5, 0.0),
+    ///     friction: 0.5,
+    ///     restitution: 0.3,
+    /// };
+    /// let scene = scene.with_height_field(Some(ramp))?;
+    /// assert_eq!(scene.height_field().map(|field| field.columns), Some(2));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn with_height_field(
+        self,
+        height_field: Option<HeightFieldBuf>,
+    ) -> Result<Self, SceneError> {
+        match height_field.as_ref().map_or(Ok(()), |field| field.view().check()) {
+            Ok(()) => Ok(self.with_checked_height_field(height_field)),
+            Err(cause) => Err(in_memory(self.name, Problem::BadHeightField(cause))),
+        }
+    }
+
+    /// The same scene on ground that a file's reader has checked.
+    pub(super) fn with_checked_height_field(self, height_field: Option<HeightFieldBuf>) -> Self {
+        Self { height_field, ..self }
+    }
+
+    /// The ground of varying height that it is on, besides its planes.
+    pub fn height_field(&self) -> Option<&HeightFieldBuf> {
+        self.height_field.as_ref()
+    }
+
     /// The same scene with other units and planes, which are checked as those of a new one.
     #[cfg(feature = "contact")]
     pub(crate) fn with_parts(
@@ -516,6 +564,7 @@ impl RecordedScene {
         Ok(Self {
             plane_compliance: self.plane_compliance.clone(),
             contact_law: self.contact_law,
+            height_field: self.height_field.clone(),
             commands: self.commands.clone(),
             pivots: self.pivots.clone(),
             mesh: self.mesh.clone(),

@@ -153,7 +153,7 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     let (mesh, bonds) = (scene.mesh(), scene.bonds());
     let bonded = !bonds.is_empty();
     let more = roles || bodies || soft || commands || velocities || inertias || pieces || bonded;
-    let more = more || gives_way || planes_give_way;
+    let more = more || gives_way || planes_give_way || scene.height_field().is_some();
     // Version 1 has one ground and no other tensors, and older programs read it.
     let ground = scene.ground().filter(|_| !more);
     let mut layout = Layout::default();
@@ -183,6 +183,9 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     for (name, rows) in lists.into_iter().filter(|(_, rows)| *rows > 0) {
         layout.i64(name, &[2], [0, rows as i64].into_iter());
     }
+    if scene.height_field().is_some() {
+        layout.i64("scene_height_fields", &[2], [0, 1].into_iter());
+    }
     if ground.is_none() {
         layout.i64("scene_planes", &[2], [0, planes.len() as i64].into_iter());
     }
@@ -196,6 +199,14 @@ fn encode(scene: &RecordedScene, notes: &SceneNotes) -> Result<Vec<u8>, Problem>
     if commands {
         let values = (0..frames).filter_map(|frame| scene.command(frame)).flatten().copied();
         layout.f32("commands", &[1, frames, scene.command_size()], values);
+    }
+    if let Some(field) = scene.height_field() {
+        let ([dx, dy], corner) = (field.spacing_m, field.corner_m);
+        let (rows, columns) = (field.view().rows() as f32, field.columns as f32);
+        let (friction, restitution) = (field.friction, field.restitution);
+        let row = [rows, columns, dx, dy, corner.x, corner.y, corner.z, friction, restitution];
+        layout.f32("height_fields", &[1, row.len()], row.into_iter());
+        layout.f32("heights", &[field.heights_m.len()], field.heights_m.iter().copied());
     }
     if ground.is_none() {
         let numbers = planes.iter().flat_map(|plane| {

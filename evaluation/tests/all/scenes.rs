@@ -10,6 +10,7 @@ use rigidformer_evaluation::scenes::{
     Velocity, write_scene,
 };
 use rigidformer_runtime::memory::Budget;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 fn unit(offset: f32, points: usize) -> RecordedUnit {
     let pose = |frame: usize| {
@@ -302,6 +303,8 @@ fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
         .unwrap()
         .with_contact_law("0.25,pyramid".parse().unwrap())
         .unwrap()
+        .with_height_field(Some(hills()))
+        .unwrap()
         .with_commands(2, commands)
         .unwrap()
         .with_set_points(vec![false, true])
@@ -310,6 +313,17 @@ fn everything_as_stiff_as([sheet, block]: [Option<f32>; 2]) -> RecordedScene {
         .unwrap()
         .with_bonds(bonds())
         .unwrap()
+}
+
+fn hills() -> HeightFieldBuf {
+    HeightFieldBuf {
+        heights_m: (0..12).map(|i| 0.1 * (i * i % 7) as f32).collect(),
+        columns: 4,
+        spacing_m: [0.5, 0.25],
+        corner_m: Vector3::new(-1.0, -0.5, 0.125),
+        friction: 0.75,
+        restitution: 0.1,
+    }
 }
 
 /// A mesh over the ten soft points of [`everything`], of which six are unit 1's.
@@ -853,6 +867,45 @@ fn contact_laws_out_of_range_are_refused() {
     assert!(text(&everything()).contains("contact_law"));
     let rigid = everything().with_contact_law(ContactLaw::RIGID).unwrap();
     assert!(!text(&rigid).contains("contact_law"));
+}
+
+#[test]
+fn a_height_field_is_read_back_or_refused() {
+    let bytes = encoded(&everything());
+    let dataset = Dataset::from_bytes("x", bytes).unwrap();
+    assert_eq!(dataset.height_field_of(0), Some(&hills()));
+    assert_eq!(dataset.scene(0, None).unwrap().height_field(), Some(&hills()));
+    assert_eq!(dataset.height_field_of(1), None);
+    // Rows, columns, spacing, corner, friction.
+    for (element, value, text) in [
+        (0, 2.5, "whole numbers of rows and columns"),
+        (0, 1.0, "whole numbers of rows and columns"),
+        (1, 1e9, "whole numbers of rows and columns"),
+        (1, 5.0, "that the tensor heights has numbers for"),
+        (2, 0.0, "spacing must be"),
+        (4, 2e6, "within 1e6 m"),
+        (7, -1.0, "from 0 to 1000"),
+    ] {
+        let (field, found) = spoilt("height_fields", element, f32::to_le_bytes(value));
+        assert!(field.starts_with("tensor height_fields"), "{field}");
+        assert!(found.to_string().contains(text), "{found}");
+    }
+    let (field, found) = spoilt("height_fields", 0, f32::to_le_bytes(2.0));
+    assert!(
+        field == "tensor heights" && matches!(found, Problem::Heights { found: 12, expected: 8 })
+    );
+    let (field, _) = spoilt("heights", 3, f32::to_le_bytes(f32::NAN));
+    assert!(field.starts_with("tensor heights"), "{field}");
+    let (field, _) = spoilt("scene_height_fields", 1, 2_i64.to_le_bytes());
+    assert!(field.starts_with("tensor scene_height_fields"), "{field}");
+    let wrong = HeightFieldBuf { columns: 5, ..hills() };
+    let found = everything().with_height_field(Some(wrong)).unwrap_err();
+    assert!(matches!(found.problem, Problem::BadHeightField(_)), "{found}");
+    assert!(
+        !encoded(&everything().with_height_field(None).unwrap())
+            .windows(7)
+            .any(|w| w == b"heights")
+    );
 }
 
 /// A file with one more tensor of the type I64 at its end.

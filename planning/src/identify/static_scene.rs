@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_core::{Compliance, ContactLaw, MAX_PLANES, Physics, Plane, Role};
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::settings::IdentifyError;
 use super::track::Sample;
@@ -25,6 +26,7 @@ pub(crate) struct StaticScene {
     /// Of each plane; none: all are rigid.
     pub(crate) plane_compliance: Vec<Compliance>,
     pub(crate) contact_law: ContactLaw,
+    pub(crate) height_field: Option<HeightFieldBuf>,
     pub(crate) gravity: Vector3<f32>,
     /// (units) Radius about the centroid of the points, metres.
     pub(crate) radii: Vec<f32>,
@@ -65,7 +67,8 @@ impl StaticScene {
             scene.units().iter().map(|unit| RecordedUnit { poses: Vec::new(), ..unit.clone() });
         let plane_compliance = scene.plane_compliance().to_vec();
         let read = StaticScene::of(units.collect(), planes, scene.gravity_m_s2())?;
-        Ok(StaticScene { plane_compliance, contact_law: scene.contact_law(), ..read })
+        let (contact_law, height_field) = (scene.contact_law(), scene.height_field().cloned());
+        Ok(StaticScene { plane_compliance, contact_law, height_field, ..read })
     }
 
     /// Units that are rigid.
@@ -93,7 +96,17 @@ impl StaticScene {
         });
         let radii = radii.collect();
         let (plane_compliance, contact_law) = (Vec::new(), ContactLaw::RIGID);
-        Ok(StaticScene { units, planes, plane_compliance, contact_law, gravity, radii, centroids })
+        let height_field = None;
+        Ok(StaticScene {
+            units,
+            planes,
+            plane_compliance,
+            contact_law,
+            height_field,
+            gravity,
+            radii,
+            centroids,
+        })
     }
 
     /// Whether each unit is moved by the model.

@@ -389,6 +389,7 @@ impl Window {
             planes: Some(&scene.planes),
             plane_compliance: &scene.plane_compliance,
             contact_law: Some(scene.contact_law),
+            height_field: scene.height_field.as_ref(),
             gravity_m_s2: Some(scene.gravity),
             ..Start::default()
         };

@@ -2,6 +2,7 @@
 
 use rigidformer_core::{Limits, SnapshotError};
 
+use crate::terrain::HeightFieldBuf;
 use crate::world::{Snapshot, World, WorldError};
 
 /// The whole state of a world, for futures to start from ([`Start::of`](super::Start::of)).
@@ -37,13 +38,24 @@ pub struct StartState {
     snapshot: Snapshot,
     limits: Limits,
     dt_s: f32,
+    height_field: Option<HeightFieldBuf>,
 }
 
 impl StartState {
     /// Of a snapshot of a world with so many units as `limits` say, points that they have room in, and a time step. Where futures
     /// start it is checked.
     pub fn new(snapshot: Snapshot, limits: Limits, dt_s: f32) -> Self {
-        StartState { snapshot, limits, dt_s }
+        StartState { snapshot, limits, dt_s, height_field: None }
+    }
+
+    /// The same state on ground of varying height, which snapshots do not hold.
+    pub fn on_height_field(self, height_field: Option<HeightFieldBuf>) -> Self {
+        StartState { height_field, ..self }
+    }
+
+    /// The ground of varying height.
+    pub fn height_field(&self) -> Option<&HeightFieldBuf> {
+        self.height_field.as_ref()
     }
 
     /// The world's snapshot.
@@ -78,12 +90,14 @@ impl World {
             1 => self.snapshot(),
             _ => self.snapshot_copy(0)?,
         };
-        let most = simulator.limits();
+        let (most, height_field) = (simulator.limits(), self.height_field());
         let points = simulator.units().map(|unit| unit.point_count()).sum();
         let mut limits = Limits { units: simulator.len(), points };
         // Hulls may need more room than points. Copies of a world with room to spare would take memory for nothing.
         loop {
             let mut world = World::on(self.engine().single(), self.model(), limits, 1)?;
+            // The same model takes the same field.
+            let _ = world.set_height_field(height_field.as_ref());
             match world.restore(&snapshot) {
                 Err(SnapshotError::TooManyPoints { found, .. }) if limits.points < most.points => {
                     limits.points = found.max(limits.points.saturating_mul(2)).min(most.points);
@@ -91,7 +105,7 @@ impl World {
                 restored => {
                     restored?;
                     let dt_s = simulator.dt_s().unwrap_or_default();
-                    return Ok(StartState { snapshot, limits, dt_s });
+                    return Ok(StartState { snapshot, limits, dt_s, height_field });
                 }
             }
         }

@@ -32,4 +32,5 @@ mod snapshot;
 mod soft;
 mod still;
 mod symmetries;
+mod terrain;
 mod walking;

@@ -235,6 +235,11 @@ fn without_planes(dataset: &Dataset) -> usize {
     (0..dataset.len()).filter(bare).count()
 }
 
+/// Scenes on ground of varying height.
+fn with_height_field(dataset: &Dataset) -> usize {
+    (0..dataset.len()).filter(|index| dataset.height_field_of(*index).is_some()).count()
+}
+
 fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     let split = |(split, scenes, units): (Split, usize, usize)| {
         (split.to_string(), json!({ "scenes": scenes, "units": units }))
@@ -282,6 +287,7 @@ fn scenes_json(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
         "command_size": dataset.command_size(),
         "planes": planes(dataset).into_iter().map(plane).collect::<Vec<_>>(),
         "scenes_without_planes": without_planes(dataset),
+        "scenes_with_height_field": with_height_field(dataset),
         "splits": splits(dataset).into_iter().map(split).collect::<Map<_, _>>(),
         "shapes": shapes,
         "provenance": dataset.provenance(),
@@ -373,6 +379,10 @@ fn scenes_text(dataset: &Dataset, length: usize) -> anyhow::Result<()> {
     let mut world = vec![("gravity".to_owned(), format!("{x} {y} {z} m/s²"))];
     if !dataset.contact_law().is_rigid() {
         world.push(("contact law".into(), dataset.contact_law().to_string()));
+    }
+    let fields = with_height_field(dataset);
+    if fields > 0 {
+        world.push(("height fields".into(), format!("in {fields} scenes")));
     }
     if dataset.has_velocities() {
         world.push(("velocities".into(), "of all units at frame 0".into()));

@@ -43,6 +43,9 @@ In version 2 besides (N planes, W soft points); all but the planes may be absent
     tetrahedra     I32 (V, 4)     what soft units are filled with, for volumes; scene_tetrahedra, I64 (S+1), as scene_faces
     bonds          I32 (B, 2)     pairs of units, rows of the file, that hold together until the bond breaks; scene_bonds,
                                   I64 (S+1), as scene_faces
+    height_fields  F32 (G, 9)     ground of varying height: rows, columns, spacing along x and y, corner x, y, z, friction,
+                                  restitution; scene_height_fields, I64 (S+1), as scene_planes, at most one a scene
+    heights        F32 (H)        (rows, columns) heights of each over its corner, metres, one field after another
     bond_frame     I32 (B)        first frame in which a bond is broken, 0..F; F: it holds
 
 Scenes that need nothing of version 2 are written as version 1.
@@ -431,6 +434,9 @@ def read_scenes(path) -> Scenes:
                 if name not in metadata and not (version == "2" and name in _GROUND):
                     raise SceneFileError(path, f"metadata {name}", "is missing", remake)
             present = set(file.keys())
+            if "height_fields" in present:
+                raise SceneFileError(path, "tensor height_fields", "holds ground of varying height, which networks and the lab's solver "
+                                     "do not know", "roll it out with the program or Python, by impulses")
             arrays = {}
             for name, (dtype, dimensions) in _TENSORS.items():
                 if name not in present:

@@ -13,12 +13,13 @@ use crate::report::{Missing, Report};
 const BARE: &str = "thumbv7em-none-eabihf";
 
 /// The combinations of core and of the C library. `host` has all that the others have, so nothing goes beside it.
-pub(crate) const OFFERED: [&str; 10] = [
+pub(crate) const OFFERED: [&str; 11] = [
     "",
     "robot",
     "deform",
     "health",
     "compliance",
+    "terrain",
     "robot,deform",
     "robot,health",
     "deform,health",

@@ -8,6 +8,7 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rigidformer_capi::edit::*;
 use rigidformer_capi::ffi::*;
 use rigidformer_capi::joints::*;
+use rigidformer_capi::state::*;
 use rigidformer_capi::types::rf_status::*;
 use rigidformer_capi::types::*;
 use rigidformer_core::{
@@ -810,5 +811,56 @@ fn bad_joints_are_refused() {
             assert_eq!(step(handle), RF_OK);
         }
         assert_eq!(poses(handle), poses(other));
+    }
+}
+
+/// Ground of varying height: the core's bits, and what is refused with it.
+#[test]
+fn height_fields() {
+    let (_a, handle) = scene(rigidformer_weights::EDGE);
+    // A step of 30 cm under the box.
+    let heights = [0.3, 0.3, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0_f32];
+    let field = rf_height_field {
+        heights_m: heights.as_ptr(),
+        rows: 3,
+        columns: 3,
+        spacing_m: [1.0, 1.0],
+        corner_m: [-1.0, -1.0, 0.0],
+        friction: 0.5,
+        restitution: 0.0,
+    };
+    let check = |status: rf_status, expected: rf_status| {
+        assert_eq!((status, detail(handle).code), (expected, expected));
+        detail(handle)
+    };
+    unsafe {
+        let set = |field: &rf_height_field| rf_set_height_field(handle, field);
+        for bad in [
+            rf_height_field { rows: 1, columns: 9, ..field },
+            rf_height_field { rows: 0, ..field },
+            rf_height_field { spacing_m: [0.0, 1.0], ..field },
+            rf_height_field { corner_m: [f32::NAN, 0.0, 0.0], ..field },
+            rf_height_field { friction: -1.0, ..field },
+        ] {
+            assert_eq!(check(set(&bad), RF_ERROR_BAD_HEIGHT_FIELD).index, RF_NONE, "{bad:?}");
+        }
+        check(set(&rf_height_field { heights_m: null(), ..field }), RF_ERROR_NULL);
+        let odd = heights.as_ptr().cast::<u8>().add(1).cast();
+        check(
+            set(&rf_height_field { heights_m: odd, rows: 2, columns: 2, ..field }),
+            RF_ERROR_ALIGNMENT,
+        );
+        let wrong = [0.0, 0.0, f32::INFINITY, 0.0];
+        let wrong = rf_height_field { heights_m: wrong.as_ptr(), rows: 2, columns: 2, ..field };
+        assert_eq!(check(set(&wrong), RF_ERROR_BAD_HEIGHT_FIELD).index, 2);
+        let (mut bytes, mut length) = (0, 0);
+        assert_eq!(rf_state_bytes(handle, &mut bytes), RF_OK);
+        let mut state = vec![0; bytes];
+        assert_eq!(rf_save(handle, state.as_mut_ptr(), state.len(), &mut length), RF_OK);
+        assert_eq!(set(&field), RF_OK);
+        check(rf_load(handle, state.as_ptr(), length), RF_ERROR_STATE_HEIGHT_FIELD);
+        assert_eq!(step(handle), RF_OK);
+        assert_eq!(rf_set_height_field(handle, null()), RF_OK);
+        assert_eq!(rf_load(handle, state.as_ptr(), length), RF_OK);
     }
 }

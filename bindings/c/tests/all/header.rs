@@ -66,6 +66,7 @@ fn sizes_are_those_of_rust() {
         ("rf_unit", size_of::<rf_unit>()),
         ("rf_unit_id", size_of::<rf_unit_id>()),
         ("rf_plane", size_of::<rf_plane>()),
+        ("rf_height_field", size_of::<rf_height_field>()),
         ("rf_bonded", size_of::<rf_bonded>()),
         ("rf_detail", size_of::<rf_detail>()),
         ("rf_compliance", size_of::<rf_compliance>()),

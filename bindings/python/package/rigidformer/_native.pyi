@@ -26,6 +26,7 @@ __all__ = [
     "Futures",
     "Gap",
     "Group",
+    "HeightField",
     "Joint",
     "Launch",
     "Model",
@@ -159,6 +160,28 @@ class Plane:
     def friction(self) -> float: ...
     @property
     def restitution(self) -> float: ...
+
+@final
+class HeightField:
+    def __new__(
+        cls,
+        heights_m: _Numbers,
+        spacing_m: float | _Numbers,
+        corner_m: Optional[_Numbers] = None,
+        friction: float = 0.5,
+        restitution: float = 0.4,
+    ) -> HeightField: ...
+    @property
+    def heights_m(self) -> _Floats: ...
+    @property
+    def spacing_m(self) -> tuple[float, float]: ...
+    @property
+    def corner_m(self) -> _Floats: ...
+    @property
+    def friction(self) -> float: ...
+    @property
+    def restitution(self) -> float: ...
+    def height_m(self, x_m: float, y_m: float) -> Optional[float]: ...
 
 @final
 class Bond:
@@ -376,6 +399,10 @@ class World:
     @planes.setter
     def planes(self, value: Sequence[Plane], /) -> None: ...
     @property
+    def height_field(self) -> Optional[HeightField]: ...
+    @height_field.setter
+    def height_field(self, value: Optional[HeightField], /) -> None: ...
+    @property
     def quarantine(self) -> bool: ...
     @quarantine.setter
     def quarantine(self, value: bool, /) -> None: ...
@@ -458,6 +485,7 @@ class Scene:
         *,
         gravity_m_s2: Optional[_Numbers] = None,
         contact_law: Optional[_ContactLaw] = None,
+        height_field: Optional[HeightField] = None,
         planes: Optional[Sequence[Plane]] = None,
         commands: Optional[_Numbers] = None,
         soft_points: Optional[_Numbers] = None,
@@ -478,6 +506,8 @@ class Scene:
     def gravity_m_s2(self) -> _Floats: ...
     @property
     def contact_law(self) -> Optional[_ContactLaw]: ...
+    @property
+    def height_field(self) -> Optional[HeightField]: ...
     @property
     def units(self) -> tuple[Unit, ...]: ...
     @property
@@ -547,6 +577,7 @@ class Start:
         planes: Optional[Sequence[Plane]] = None,
         plane_compliance: Sequence[tuple[float, float]] = ...,
         contact_law: Optional[_ContactLaw] = None,
+        height_field: Optional[HeightField] = None,
         gravity_m_s2: Optional[_Numbers] = None,
         pivots: Sequence[Pivot] = ...,
         state: Optional[tuple[bytes, int, int]] = None,

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Optional
 
-from ._native import Group, Model, World
+from ._native import Group, HeightField, Model, World
 
 
 def model(data: bytes, name: str) -> Model:
     return Model.from_bytes(data, name)
 
 
-def world(model: Model, units: int, points: int, threads: int, snapshot: bytes) -> World:
+def world(
+    model: Model, units: int, points: int, threads: int, snapshot: bytes, field: Optional[HeightField] = None
+) -> World:
     world = World(model, units=units, points=points, threads=threads)
+    # A snapshot has none.
+    world.height_field = field
     world.restore(snapshot)
     return world
 

@@ -1,6 +1,8 @@
 //! The world that the solver works in, and units as it moves them.
 
 use crate::contact::ground::Plane;
+#[cfg(feature = "terrain")]
+use crate::contact::height_field::Surface;
 use crate::contact::law::FrictionLimit;
 use crate::contact::pieces::Piece;
 #[cfg(feature = "robot")]
@@ -29,6 +31,9 @@ const HELD: f32 = 0.1;
 /// What touches something held, is slower at both ends of a step and stays within its skin rests, in gravity x dt: its pose then
 /// stays to the bit.
 const REST: f32 = 0.02;
+/// Times as fast as what rests elsewhere on ground of varying height.
+#[cfg(feature = "terrain")]
+const ROCKING: f32 = 2.0;
 /// Of the speed of what rests: so slow that it makes no difference to rest.
 const SLIGHT: f32 = 1.0 / 64.0;
 /// Parts of a substep that it may be cut by: a power of two, so that a whole one is a share of the step to the bit.
@@ -125,6 +130,30 @@ pub(super) struct World<'s> {
     /// Whether units hang together.
     #[cfg(feature = "robot")]
     pub(super) has_trees: bool,
+    #[cfg(feature = "terrain")]
+    pub(super) terrain: Option<Terrain<'s>>,
+}
+
+/// Ground of varying height in the scene's measure.
+#[cfg(feature = "terrain")]
+#[derive(Clone, Copy)]
+pub(super) struct Terrain<'s> {
+    pub(super) surface: Surface<'s>,
+    pub(super) highest: f32,
+    pub(super) friction: f32,
+    pub(super) restitution: f32,
+}
+
+#[cfg(feature = "terrain")]
+impl<'s> Terrain<'s> {
+    fn of(scene: &Scene<'s>) -> Option<Self> {
+        let crate::scene::Terrain { field, highest_m, .. } = scene.terrain?;
+        let measure = &scene.measure;
+        let highest = (highest_m - measure.origin().z) / measure.length();
+        let surface = Surface::new(&field, measure);
+        let (friction, restitution) = (field.friction, field.restitution);
+        Some(Terrain { surface, highest, friction, restitution })
+    }
 }
 
 /// How a pair gives way.
@@ -185,6 +214,8 @@ impl<'s> World<'s> {
             gives_way: false,
             #[cfg(feature = "robot")]
             has_trees: units.iter().any(|unit| unit.link.above.is_some()),
+            #[cfg(feature = "terrain")]
+            terrain: Terrain::of(scene),
         }
         .finer()
         .with_trees()
@@ -319,6 +350,23 @@ impl<'s> World<'s> {
     #[inline(always)]
     pub(super) fn give_on(&self, unit: &UnitSlot, plane: usize) -> Give {
         Give::of(unit.compliance()).and(Give::of(self.scene.plane_compliance(plane)))
+    }
+
+    /// How a unit on rigid ground gives way.
+    #[cfg(feature = "terrain")]
+    #[inline(always)]
+    pub(super) fn give_alone(&self, unit: &UnitSlot) -> Give {
+        Give::of(unit.compliance())
+    }
+
+    /// Whether a place is farther than this from all ground.
+    #[cfg(rigidformer_host)]
+    fn is_high(&self, centre: &Vector3<f32>, reach: f32) -> bool {
+        #[cfg(feature = "terrain")]
+        if self.terrain.is_some_and(|terrain| centre.z - terrain.highest <= reach) {
+            return false;
+        }
+        self.planes().iter().all(|plane| plane.height_here(centre) > reach)
     }
 
     /// N/m in the scene's measure; 0: it does not give way.
@@ -468,7 +516,13 @@ impl<'s> World<'s> {
                 .around(cluster_root)
                 .fold(0.0_f32, |most, (_, unit)| most.max(unit.current.centre.amax())),
         };
-        slow + slow.min(ROUNDING * most / dt)
+        let slow = slow + slow.min(ROUNDING * most / dt);
+        // On uneven ground a unit stands on other points in each substep, and rocks a little.
+        #[cfg(feature = "terrain")]
+        if self.terrain.is_some() {
+            return ROCKING * slow;
+        }
+        slow
     }
 
     /// As [`own_motion`](Self::own_motion), of the cluster that a unit is in, at its centre of mass: means by mass.
@@ -1044,7 +1098,7 @@ impl<'r> Bodies<'r> {
             let reach = reach + f32::EPSILON * 32.0 * centre.amax();
             let reach = if may_rest { reach } else { f32::INFINITY };
             // False where the numbers are none.
-            let is_high = world.planes().iter().all(|plane| plane.height_here(&centre) > reach);
+            let is_high = world.is_high(&centre, reach);
             let state = match unit.role {
                 Role::Fixed => FIXED,
                 Role::Free if may_rest && all_alone && unit.is_still_in(world.substeps) => STAYS,

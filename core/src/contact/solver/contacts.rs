@@ -2,6 +2,8 @@
 
 use super::bodies::{Bodies, Give, Mover, Spring, World, rows};
 use super::patch::{self, Patch, Slope};
+#[cfg(feature = "terrain")]
+use super::terrain::{Touches, Visitor};
 use crate::contact::ground::Plane;
 use crate::contact::pieces::Piece;
 use crate::geometry::{
@@ -536,6 +538,8 @@ impl<'r> Contacts<'r> {
             for plane in world.planes().iter().enumerate() {
                 self.with_plane(world, bodies, (to, unit), plane);
             }
+            #[cfg(feature = "terrain")]
+            self.with_terrain(world, bodies, (to, unit));
         }
         #[cfg(rigidformer_host)]
         if schedule.shares() && !self.slots.is_empty() {
@@ -613,6 +617,50 @@ impl<'r> Contacts<'r> {
             bounces: world.bounces(unit.radius),
         };
         self.add(world, bodies, &pair, &patch);
+    }
+
+    #[cfg(feature = "terrain")]
+    #[cfg_attr(rigidformer_dsp, inline(never))]
+    fn with_terrain(
+        &mut self,
+        world: &World<'_>,
+        bodies: &Bodies<'_>,
+        (to, unit): (usize, &UnitSlot),
+    ) {
+        let Some(terrain) = &world.terrain else { return };
+        let (mover, pose) = (bodies.mover_there(to), bodies.pose(to));
+        let way = mover.velocity * world.substep_s;
+        let margin = norm(&mover.spin) * unit.radius * world.substep_s + FACE * unit.radius;
+        if pose.centre.z - unit.radius - (norm(&way) + margin) > terrain.highest {
+            return;
+        }
+        let visitor = Visitor {
+            ground: terrain.surface.from(&pose.centre),
+            radius: unit.radius,
+            round: world.round(unit),
+            way,
+            margin,
+            skin: world.skin(unit.radius),
+        };
+        let mut touches = Touches::new(unit.radius);
+        for number in 0..world.pieces(unit) {
+            visitor.find(&world.piece(unit, number), &pose, &mut touches);
+        }
+        let pair = Pair {
+            from: None,
+            to,
+            piece: 0,
+            apart: Vector3::zeros(),
+            normal: Vector3::zeros(),
+            skin: 0.25 * world.skin(unit.radius),
+            friction: unit.physics.friction * terrain.friction,
+            restitution: restitution(world, unit.physics.restitution * terrain.restitution),
+            give: world.give_alone(unit),
+            bounces: world.bounces(unit.radius),
+        };
+        touches.each_patch(|normal, patch| {
+            self.add(world, bodies, &Pair { normal: *normal, ..pair }, patch);
+        });
     }
 
     #[cfg_attr(rigidformer_dsp, inline(never))]
@@ -1028,7 +1076,7 @@ pub(super) struct Meeting {
     /// From the first to the second.
     pub(super) normal: Vector3<f32>,
     /// Between their closest points.
-    middle: Vector3<f32>,
+    pub(super) middle: Vector3<f32>,
 }
 
 /// Hulls are grown by what makes them round. Their centres are `apart`, and `between` goes from the middle of one to that of the
@@ -1091,7 +1139,7 @@ pub(super) fn gap_along(
 
 /// The patch that the faces of two hulls share, seen along the normal; none where they share less than an edge.
 #[cfg_attr(rigidformer_dsp, inline(never))]
-fn touching(
+pub(super) fn touching(
     [mine, theirs]: [&Hull<'_>; 2],
     [own, other]: [f32; 2],
     apart: &Vector3<f32>,

@@ -11,6 +11,8 @@ mod bodies;
 mod contacts;
 mod impulses;
 mod patch;
+#[cfg(feature = "terrain")]
+mod terrain;
 #[cfg(test)]
 mod tests;
 #[cfg(feature = "robot")]

@@ -3,8 +3,8 @@
 use super::identity::identity;
 use super::layout::{
     BALL, COMMANDED, COMPLIANCE, COPY_BOND, COPY_COURSE, COPY_UNIT, END, GIVES_WAY, GUIDE, GUIDED,
-    HEAD, LAW, LAWFUL, MAGIC, NO_NETWORK, PAIR, PATCH, PIECES, PLANE, QUARANTINES, REST, SCENE,
-    SOFT, TARGET, UNIT, VERSION, limit_of, role_of,
+    HEAD, LAW, LAWFUL, MAGIC, NO_NETWORK, ON_TERRAIN, PAIR, PATCH, PIECES, PLANE, QUARANTINES,
+    REST, SCENE, SOFT, TARGET, TERRAIN, UNIT, VERSION, limit_of, role_of,
 };
 use super::words::{WORD, Words};
 use crate::contact::ground::Plane;
@@ -182,8 +182,17 @@ impl<'b> Checked<'b> {
     }
 
     fn start_of_plane(&self, number: usize) -> usize {
-        let law = if self.is_lawful() { LAW } else { 0 };
-        HEAD + SCENE + law + number * (PLANE + self.compliance_words())
+        let terrain = if self.terrain_digest().is_some() { TERRAIN } else { 0 };
+        self.start_of_terrain() + terrain + number * (PLANE + self.compliance_words())
+    }
+
+    fn start_of_terrain(&self) -> usize {
+        HEAD + SCENE + if self.is_lawful() { LAW } else { 0 }
+    }
+
+    /// Which height field the scene is on.
+    fn terrain_digest(&self) -> Option<u64> {
+        (self.flags() & ON_TERRAIN != 0).then(|| self.words.long(self.start_of_terrain()))
     }
 
     /// How contact with a plane gives way.
@@ -414,6 +423,9 @@ impl Simulator<'_, '_> {
     fn check_world(&self, checked: &mut Checked<'_>) -> Result<(), SnapshotError> {
         let config = self.model.config();
         Self::check_flags(checked)?;
+        if checked.terrain_digest() != self.scene.terrain_digest() {
+            return Err(SnapshotError::OtherHeightField);
+        }
         for plane in 0..checked.planes {
             let at = checked.start_of_plane(plane);
             ensure(checked.plane(plane).is_sound_here(), at)?;
@@ -464,7 +476,7 @@ impl Simulator<'_, '_> {
         if cfg!(not(feature = "robot")) && checked.is_guided() {
             return Err(SnapshotError::LeftOut);
         }
-        let known = COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK | LAWFUL | GUIDED;
+        let known = COMMANDED | QUARANTINES | GIVES_WAY | NO_NETWORK | LAWFUL | GUIDED | ON_TERRAIN;
         ensure(checked.flags() <= known, HEAD + 4)
     }
 

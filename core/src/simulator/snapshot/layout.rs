@@ -42,6 +42,10 @@ pub(super) const NO_NETWORK: u32 = 8;
 pub(super) const LAWFUL: u32 = 16;
 /// Joints have axes, or leave nothing open: each unit has [`GUIDE`] words more, and [`TARGET`] in a copy.
 pub(super) const GUIDED: u32 = 32;
+/// The scene is on a height field: [`TERRAIN`] words more say on which.
+pub(super) const ON_TERRAIN: u32 = 64;
+/// Words of which height field it is.
+pub(super) const TERRAIN: usize = 2;
 /// Words of how contact gives way.
 pub(super) const COMPLIANCE: usize = 2;
 /// Words of how contacts that bounce differ from rigid ones.

@@ -24,8 +24,8 @@ use crate::scene::{Compliance, UnitSlot};
 use crate::slices::slice_at;
 use core::ops::Range;
 use layout::{
-    BALL, COMMANDED, END, GIVES_WAY, GUIDED, HEAD, LAWFUL, MAGIC, NO_NETWORK, PATCH, PIECES,
-    QUARANTINES, VERSION, code_of, code_of_limit,
+    BALL, COMMANDED, END, GIVES_WAY, GUIDED, HEAD, LAWFUL, MAGIC, NO_NETWORK, ON_TERRAIN, PATCH,
+    PIECES, QUARANTINES, VERSION, code_of, code_of_limit,
 };
 #[cfg(feature = "robot")]
 use layout::{GUIDE, code_of_way};
@@ -218,7 +218,9 @@ impl Simulator<'_, '_> {
         let lawful = if law.is_rigid() { 0 } else { LAWFUL };
         let guided = if self.is_guided() { GUIDED } else { 0 };
         let quarantines = if quarantines { QUARANTINES } else { 0 };
-        to.word(commanded | quarantines | giving | network | lawful | guided);
+        let terrain = scene.terrain_digest();
+        let on_terrain = if terrain.is_some() { ON_TERRAIN } else { 0 };
+        to.word(commanded | quarantines | giving | network | lawful | guided | on_terrain);
         to.number(given.dt_s);
         to.vector(&given.gravity);
         to.number(scene.measure.length());
@@ -227,6 +229,9 @@ impl Simulator<'_, '_> {
         if !law.is_rigid() {
             to.number(law.restitution_offset);
             to.word(code_of_limit(law.friction));
+        }
+        if let Some(digest) = terrain {
+            to.long(digest);
         }
         for (number, plane) in given.planes.iter().enumerate() {
             to.vector(&plane.normal);

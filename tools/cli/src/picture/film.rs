@@ -3,12 +3,13 @@
 use nalgebra::{Isometry3, Point3};
 use rigidformer_core::{Plane, Role};
 use rigidformer_evaluation::scenes::RecordedUnit;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::camera::Camera;
 use super::colours::colour;
 use super::mesh::Mesh;
 use super::page::{Align, FAINT, Font, Page};
-use super::raster::{Body, render};
+use super::raster::{Body, GROUND, render};
 use super::surface::{Shown, Surface};
 
 const GAP: u32 = 12;
@@ -23,6 +24,7 @@ pub(super) struct Film<'f> {
     pub(super) note: &'f str,
     pub(super) units: &'f [RecordedUnit],
     pub(super) planes: &'f [Plane],
+    pub(super) terrain: Option<&'f HeightFieldBuf>,
     pub(super) columns: Vec<Column>,
     /// Names of the rows.
     pub(super) rows: Vec<&'static str>,
@@ -60,6 +62,7 @@ pub(super) fn draw(film: &Film<'_>) -> anyhow::Result<Vec<u8>> {
     let after = LEFT as f32 + Font::TITLE.width(&film.title) + 24.0;
     page.text(film.note, (after, 24.0), Align::Left, faint);
 
+    let terrain = film.terrain.map(|field| Mesh::flat(field.triangles()));
     let meshes: Vec<Mesh> = film.units.iter().map(|unit| Mesh::new(&unit.points)).collect();
     for (number, column) in film.columns.iter().enumerate() {
         let x = LEFT + number as u32 * (wide + GAP);
@@ -90,6 +93,13 @@ pub(super) fn draw(film: &Film<'_>) -> anyhow::Result<Vec<u8>> {
                 pose: Isometry3::identity(),
                 colour: colour(lead(body.unit), Role::Free),
                 sheet: Some(body.lift_m),
+            }));
+            bodies.extend(terrain.iter().map(|mesh| Body {
+                mesh,
+                points: &[],
+                pose: Isometry3::identity(),
+                colour: GROUND,
+                sheet: None,
             }));
             let y = TOP + row as u32 * (high + GAP);
             let pixels = render(&bodies, film.planes, &film.camera, width, height);

@@ -29,6 +29,15 @@ pub(super) struct Mesh {
 }
 
 impl Mesh {
+    /// Of triangles as they are: each is flat.
+    pub(super) fn flat(triangles: impl Iterator<Item = [Point3<f32>; 3]>) -> Mesh {
+        let triangles = triangles.map(|triangle @ [a, b, c]| {
+            let normal = (b - a).cross(&(c - a)).try_normalize(1e-12).unwrap_or_else(Vector3::z);
+            triangle.map(|point| Corner { point, normal })
+        });
+        Mesh { triangles: triangles.collect() }
+    }
+
     pub(super) fn new(points: &[Point3<f32>]) -> Mesh {
         let Some(hull) = ConvexHull::new(points) else { return Mesh { triangles: Vec::new() } };
         // Twice the area times the normal, so that large faces count more.

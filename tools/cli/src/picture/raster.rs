@@ -12,7 +12,7 @@ use super::page::Rgb;
 const SAMPLES: usize = 3;
 const SKY: Rgb = [0.955, 0.965, 0.98];
 /// Of a level plane in the light; steeper ones are darker.
-const GROUND: Rgb = [0.86, 0.875, 0.895];
+pub(super) const GROUND: Rgb = [0.86, 0.875, 0.895];
 /// What is left of the ground's light on a plane that stands upright.
 const UPRIGHT: f32 = 0.88;
 const GRID: Rgb = [0.70, 0.72, 0.76];

@@ -41,6 +41,7 @@ pub(crate) fn strip(comparison: &Comparison<'_>, frames: &[u32]) -> anyhow::Resu
         note: note(scene),
         units: scene.units(),
         planes: scene.planes().unwrap_or(&ground),
+        terrain: scene.height_field(),
         columns: frames.iter().map(|frame| column(comparison, *frame, truth_first)).collect(),
         rows: rows.to_vec(),
         camera: best_camera(comparison, &frames),

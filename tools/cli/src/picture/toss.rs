@@ -43,6 +43,7 @@ pub(crate) fn toss(toss: &Toss<'_>) -> anyhow::Result<Vec<u8>> {
         note: legend(scene.units().iter().map(|unit| unit.role)),
         units: scene.units(),
         planes: scene.planes().unwrap_or(&ground),
+        terrain: scene.height_field(),
         camera: across(scene, &columns),
         columns,
         rows: vec!["recorded", "predicted"],

@@ -41,6 +41,7 @@ pub(crate) fn walk(drive: &Drive<'_>, frames: &[u32]) -> anyhow::Result<Vec<u8>>
         note: "",
         units: scene.units(),
         planes: scene.planes().unwrap_or(&ground),
+        terrain: scene.height_field(),
         columns: frames.iter().map(column).collect(),
         rows: vec!["predicted"],
         surface: None,

@@ -123,6 +123,7 @@ impl Truth {
         if physics.is_none() {
             world.set_contact_law(self.scene.contact_law())?;
         }
+        world.set_height_field(self.scene.height_field())?;
         if let Some(planes) = self.scene.planes() {
             let planes: Vec<Plane> = planes
                 .iter()

@@ -31,6 +31,12 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
     for (number, plane) in moving.planes.iter().enumerate() {
         roots.push(build.plane(number, plane, moving.extent()));
     }
+    if let Some(field) = &moving.terrain
+        && let Some(shape) = build.flat(field.triangles())
+    {
+        let mesh = build.painted("terrain", shape, GROUND.map(linear));
+        roots.push(build.node("terrain", Some(mesh)));
+    }
     for (number, unit) in moving.units.iter().enumerate() {
         let label = moving.label(number);
         let shape = build.shape(unit);

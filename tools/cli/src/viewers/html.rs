@@ -6,6 +6,8 @@ use nalgebra::Isometry3;
 use rigidformer_core::Role;
 use serde_json::json;
 
+use rigidformer_runtime::terrain::HeightFieldBuf;
+
 use super::moving::Moving;
 
 const PAGE: &str = include_str!("html/page.html");
@@ -51,6 +53,8 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
         .planes
         .iter()
         .flat_map(|p| [p.normal.x, p.normal.y, p.normal.z, p.offset_m]));
+    let triangles = moving.terrain.iter().flat_map(HeightFieldBuf::triangles);
+    let terrain = add(&mut triangles.flatten().flat_map(|point| [point.x, point.y, point.z]));
     let (middle, radius) = moving.extent();
     let scene = json!({
         "name": moving.name,
@@ -62,6 +66,7 @@ pub(super) fn file(moving: &Moving) -> anyhow::Result<Vec<u8>> {
         "truth": truth,
         "units": units,
         "planes": planes,
+        "terrain": terrain,
         "middle": [middle.x, middle.y, middle.z],
         "radius": radius,
     });

@@ -8,6 +8,7 @@ use rigidformer_core::{Plane, Role, Unit};
 use rigidformer_evaluation::rollout::Trajectory;
 use rigidformer_evaluation::scenes::{RecordedScene, RecordedUnit};
 use rigidformer_runtime::hull::ConvexHull;
+use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use crate::picture::{Rgb, colour};
 
@@ -50,6 +51,7 @@ pub struct Moving {
     /// What their `truth` is.
     pub(crate) truth_is: String,
     pub(crate) planes: Vec<Plane>,
+    pub(crate) terrain: Option<HeightFieldBuf>,
     pub(crate) units: Vec<MovingUnit>,
     /// (frames) In the order of time.
     frames: Vec<Frame>,
@@ -108,6 +110,7 @@ impl Moving {
             poses_are,
             truth_is: "recorded".into(),
             planes: scene.planes().unwrap_or_default().to_vec(),
+            terrain: scene.height_field().cloned(),
             units: MovingUnit::of_scene(scene),
             frames: Vec::new(),
         }
@@ -158,7 +161,7 @@ impl Moving {
     ) -> Moving {
         let (name, planes) = (name.into(), planes.to_vec());
         let (poses_are, truth_is) = (poses_are.into(), truth_is.into());
-        Moving { name, poses_are, truth_is, planes, units, frames: Vec::new() }
+        Moving { name, poses_are, truth_is, planes, terrain: None, units, frames: Vec::new() }
     }
 
     /// Adds frames. One that is not later than the one before it, or not finite, is left out: viewers need times that rise.

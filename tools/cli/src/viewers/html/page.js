@@ -134,6 +134,7 @@
       points: mesh(part(u.points)),
     };
   });
+  const terrain = mesh(part(scene.terrain));
   const reach = 5 * scene.radius;
   const square = mesh([-reach, -reach, 0, reach, -reach, 0, reach, reach, 0, -reach, -reach, 0, reach, reach, 0, -reach, reach, 0]);
   const grid = 10 ** Math.round(Math.log10(scene.radius / 3));
@@ -246,6 +247,14 @@
       if (c > .5 && dot([a, b, c], eye) > d) paint(casts, shade, 1, floor.plane, "surface", gl.TRIANGLES, 1);
     }
     gl.depthMask(true);
+    if (terrain.length) {
+      gl.uniform4fv(body.plane, none);
+      gl.uniform1f(body.flatness, 0);
+      gl.uniformMatrix4fv(body.pose, false, still);
+      gl.uniform4fv(body.colour, [...soil, 1]);
+      gl.bindVertexArray(terrain.array);
+      gl.drawArrays(gl.TRIANGLES, 0, terrain.length);
+    }
     if (show.poses && !show.points) paint(mine, null, 1, none, "surface", gl.TRIANGLES, 0);
     if (show.points) {
       if (show.poses) paint(mine, null, 1, none, "points", gl.POINTS, 1);

@@ -682,9 +682,9 @@ pub enum SnapshotError {
         "the snapshot is of a scene on another height field, or on none: set that one first (set_height_field)"
     )]
     OtherHeightField,
-    /// A part that this build leaves out: joints, soft units, bonds, or units in quarantine.
+    /// A part that this build leaves out: joints, soft units, bonds, a height field, or units in quarantine.
     #[error(
-        "the snapshot has joints, bonds, soft units or a quarantine, which this build leaves out"
+        "the snapshot has joints, bonds, soft units, a height field or a quarantine, which this build leaves out"
     )]
     LeftOut,
     /// More units than the limits allow.

@@ -591,7 +591,7 @@ pub(crate) fn members(
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Terrain<'s> {
     pub(crate) field: crate::contact::height_field::HeightField<'s>,
-    /// Its greatest height, metres.
+    /// Its greatest height above its corner, metres.
     pub(crate) highest_m: f32,
     pub(crate) digest: u64,
 }

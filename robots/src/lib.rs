@@ -5,6 +5,7 @@
 //! | [`load_robot`] | a file to a [`Robot`]: links with mass, inertia and surface, and the joints between them |
 //! | [`Robot::poses`] | where all links are at joint positions |
 //! | [`Robot::scene`] | the units of a scene at rest, joined at pivots, and its file |
+//! | [`RobotScene::world`] | that scene as a world that can step |
 //! | [`load_meshes`] | a folder of meshes to free bodies, weighed by their density |
 //!
 //! Lengths are metres, masses kilograms, angles radians, z up, whatever a file's own units are.
@@ -25,6 +26,7 @@ mod sets;
 mod solid;
 mod tree;
 mod urdf;
+mod world;
 mod xml;
 
 pub use error::{Problem, RobotError};
@@ -34,3 +36,4 @@ pub use options::LoadOptions;
 pub use robot::{JointKind, Link, Mimic, Robot, RobotJoint};
 pub use scene::{HeldJoint, RobotScene, SceneOptions};
 pub use sets::{MeshSetOptions, load_meshes};
+pub use world::RobotWorldError;

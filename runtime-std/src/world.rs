@@ -461,6 +461,10 @@ impl World {
         self.cell.with_dependent_mut(|storage, simulator| {
             let Some(field) = field else { return simulator.set_height_field(None) };
             field.view().check()?;
+            // What the model refuses is not kept.
+            if !simulator.model().config().motion.has_impulses() {
+                return simulator.set_height_field(Some(field.over(&[])));
+            }
             let heights = &storage.heights;
             let is_same = |kept: &&[f32]| std::ptr::eq::<[f32]>(*kept, &*field.heights_m);
             let kept = heights.iter().find(is_same);

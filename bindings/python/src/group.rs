@@ -502,15 +502,17 @@ impl Group {
     }
 
     fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
+        // Of one time, whatever other threads step meanwhile.
+        let group = self.copy(py)?;
         let (names, threads) = {
-            let members = self.group.lock(py)?;
+            let members = group.group.lock(py)?;
             (members.names(), members.threads)
         };
         let member = |name: String| {
             Ok((
                 name.clone(),
-                self.world(py, &name)?.into_pyobject(py)?,
-                self.neighbour_distance(py, &name)?,
+                group.world(py, &name)?.into_pyobject(py)?,
+                group.neighbour_distance(py, &name)?,
             ))
         };
         let members = names.into_iter().map(member).collect::<PyResult<Vec<_>>>()?;

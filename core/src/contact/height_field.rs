@@ -14,7 +14,7 @@ const SPACING_M: core::ops::RangeInclusive<f32> = 1e-4..=1e4;
 const ON_EDGE: f32 = 1e-4;
 
 /// Unmoving ground of varying height: a grid of heights above `corner_m`. Units stay above it. Beyond its borders there is
-/// nothing; a [`Plane`](crate::Plane) may lie below.
+/// nothing; a [`Plane`](crate::Plane) may lie below. What is deeper under it than its own size is let be: it has come from elsewhere.
 ///
 /// Rows go along y and columns along x. A cell between four heights is two triangles, which share the diagonal from its first
 /// corner (least x and y) to the opposite one, as MuJoCo's `hfield` has it. Heights are borrowed: a microcontroller may
@@ -137,12 +137,12 @@ impl<'a> HeightField<'a> {
         Ok(())
     }
 
-    /// The greatest height, metres.
+    /// The greatest height above the corner, metres.
     pub(crate) fn highest_m(&self) -> f32 {
-        self.corner_m.z + self.heights_m.iter().fold(f32::NEG_INFINITY, |high, z| high.max(*z))
+        self.heights_m.iter().fold(f32::NEG_INFINITY, |high, z| high.max(*z))
     }
 
-    /// A number of all that it says: other fields have others.
+    /// A number of all that it says, to the bit: other fields hardly have the same.
     pub(crate) fn digest(&self) -> u64 {
         let [dx, dy] = self.spacing_m;
         let corner = self.corner_m;
@@ -180,6 +180,26 @@ impl<'a> Surface<'a> {
         }
     }
 
+    /// The greatest height, of one above the corner in metres.
+    pub(crate) fn highest(&self, above_m: f32) -> f32 {
+        self.corner.z + above_m * self.scale
+    }
+
+    /// Whether a ball reaches over the field, seen from above.
+    pub(crate) fn is_under(&self, centre: &Vector3<f32>, radius: f32) -> bool {
+        let around = Vector3::repeat(radius);
+        self.from(centre).cells(&-around, &around).is_some()
+    }
+
+    /// How far a face has to fall away behind an edge of a cell for that to stick out, as a unit of this radius feels it: what is
+    /// nearest to it has to be on a face otherwise, to [`ON_EDGE`].
+    pub(crate) fn least_dip(&self, radius: f32) -> f32 {
+        let [dx, dy] = self.spacing;
+        let spacing = dx.min(dy);
+        let felt = ON_EDGE * spacing * (spacing / radius).min(10.0);
+        felt.max(8.0 * f32::EPSILON * self.corner.z.abs())
+    }
+
     /// As seen from a place.
     pub(crate) fn from(&self, place: &Vector3<f32>) -> Near<'a> {
         Near { surface: *self, corner: self.corner - place }
@@ -207,9 +227,12 @@ pub(crate) struct Face {
 }
 
 impl Face {
-    fn new(corners: [Vector3<f32>; 3], rise @ [x, y]: [f32; 2], half: (bool, [f32; 2])) -> Self {
-        let across = Vector3::new(-x, -y, 1.0);
+    /// `rises` are along x and y over a spacing.
+    fn new(corners: [Vector3<f32>; 3], rises: [f32; 2], half: (bool, [f32; 2])) -> Self {
         let (is_right, spacing) = half;
+        let ([x, y], [dx, dy]) = (rises, spacing);
+        let rise @ [x, y] = [x / dx, y / dy];
+        let across = Vector3::new(-x, -y, 1.0);
         Face { normal: across / norm(&across), corners, rise, is_right, spacing }
     }
 
@@ -275,6 +298,10 @@ impl<'a> Near<'a> {
         high: &Vector3<f32>,
     ) -> Option<[core::ops::Range<usize>; 2]> {
         let Surface { columns, rows, spacing: [dx, dy], .. } = self.surface;
+        // What was not checked may be no field.
+        if columns < 2 || rows < 2 {
+            return None;
+        }
         let range = |low: f32, high: f32, count: usize| {
             let last = count.saturating_sub(1);
             // What is not a number reaches into none.
@@ -291,12 +318,13 @@ impl<'a> Near<'a> {
 
     /// The faces of a cell, the right one (of lesser y) first.
     pub(crate) fn faces(&self, row: usize, column: usize) -> [Face; 2] {
-        let spacing @ [dx, dy] = self.surface.spacing;
         let (a, b) = (self.corner_at(row, column), self.corner_at(row, column + 1));
         let (c, d) = (self.corner_at(row + 1, column + 1), self.corner_at(row + 1, column));
+        // As it is where corners are rounded, so that nothing is between two cells.
+        let spacing = [b.x - a.x, d.y - a.y];
         [
-            Face::new([a, b, c], [(b.z - a.z) / dx, (c.z - b.z) / dy], (true, spacing)),
-            Face::new([a, c, d], [(c.z - d.z) / dx, (d.z - a.z) / dy], (false, spacing)),
+            Face::new([a, b, c], [b.z - a.z, c.z - b.z], (true, spacing)),
+            Face::new([a, c, d], [c.z - d.z, d.z - a.z], (false, spacing)),
         ]
     }
 
@@ -314,44 +342,61 @@ impl<'a> Near<'a> {
         let [rows, columns] = self.cells(point, point)?;
         let (row, column) = (rows.start, columns.start);
         let [right, left] = self.faces(row, column);
-        let ([first, ..], [dx, dy]) = (&right.corners, self.surface.spacing);
+        let ([first, ..], [dx, dy]) = (&right.corners, right.spacing);
         let (u, v) = ((point.x - first.x) / dx, (point.y - first.y) / dy);
         Some(if u >= v { right } else { left })
     }
 
-    /// The edges of a cell that stick out: its first ones along x and y and its diagonal. `dip` is how far a face has to fall
-    /// away behind an edge for that.
-    pub(crate) fn ridges(&self, row: usize, column: usize, dip: f32) -> heapless::Vec<Ridge, 3> {
+    /// The edges of a cell that stick out: its first ones along x and y, its diagonal, and its last ones at the border. `dip` is how far
+    /// a face has to fall away behind an edge for that.
+    pub(crate) fn ridges(&self, row: usize, column: usize, dip: f32) -> heapless::Vec<Ridge, 5> {
         let mut found = heapless::Vec::new();
         let [right, left] = self.faces(row, column);
         let ([a, b, c], [_, _, d]) = (right.corners, left.corners);
-        let here = [row, column];
-        let mut add = |ends: [Vector3<f32>; 2], places, faces: [(&Face, Vector3<f32>); 2]| {
-            let [(one, beside), (other, behind)] = faces;
-            if one.above(&behind) > -dip {
-                return;
-            }
+        let Surface { rows, columns, .. } = self.surface;
+        let [here, beside] = [[row, column], [row, column + 1]];
+        let [across, behind] = [[row + 1, column + 1], [row + 1, column]];
+        let mut add = |ends: [Vector3<f32>; 2], places, own: (&Face, Vector3<f32>), other| {
             let [start, end] = &ends;
             let way = end - start;
             let along = way / norm(&way);
-            let inward = [beside, behind].map(|corner| {
+            let inward = |corner: &Vector3<f32>| {
                 let arm = corner - start;
                 let across = arm - along * dot(&along, &arm);
                 across / norm(&across)
-            });
-            let normals = [one.normal, other.normal];
-            let _ = found.push(Ridge { ends, places, normals, inward });
+            };
+            let (one, corner) = own;
+            let mine = inward(&corner);
+            // Behind a border there is nothing.
+            let Some((other, corner)): Option<(Face, Vector3<f32>)> = other else {
+                let normals = [one.normal, -mine];
+                let _ = found.push(Ridge { ends, places, normals, inward: [mine; 2] });
+                return;
+            };
+            if one.above(&corner) <= -dip {
+                let normals = [one.normal, other.normal];
+                let _ =
+                    found.push(Ridge { ends, places, normals, inward: [mine, inward(&corner)] });
+            }
         };
-        add([a, c], [here, [row + 1, column + 1]], [(&right, b), (&left, d)]);
-        if let Some(below) = row.checked_sub(1) {
+        add([a, c], [here, across], (&right, b), Some((left, d)));
+        let other = row.checked_sub(1).map(|below| {
             let [_, other] = self.faces(below, column);
             let [corner, ..] = other.corners;
-            add([a, b], [here, [row, column + 1]], [(&right, c), (&other, corner)]);
-        }
-        if let Some(before) = column.checked_sub(1) {
+            (other, corner)
+        });
+        add([a, b], [here, beside], (&right, c), other);
+        let other = column.checked_sub(1).map(|before| {
             let [other, _] = self.faces(row, before);
             let [corner, ..] = other.corners;
-            add([a, d], [here, [row + 1, column]], [(&left, c), (&other, corner)]);
+            (other, corner)
+        });
+        add([a, d], [here, behind], (&left, c), other);
+        if column + 2 == columns {
+            add([b, c], [beside, across], (&right, a), None);
+        }
+        if row + 2 == rows {
+            add([d, c], [behind, across], (&left, a), None);
         }
         found
     }
@@ -406,7 +451,8 @@ mod tests {
         {
             let near = Surface::new(&field(&heights, 3), &Measure::SI).from(&Vector3::zeros());
             let all: usize = (0..2).map(|column| near.ridges(0, column, 1e-4).len()).sum();
-            assert_eq!(all, ridges, "{heights:?}");
+            // Six edges are borders.
+            assert_eq!(all, ridges + 6, "{heights:?}");
         }
     }
 
@@ -428,6 +474,9 @@ mod tests {
         }
         assert_eq!(field.height_m(2.01, 2.1), None);
         assert_eq!(field.height_m(f32::NAN, 2.1), None);
+        for columns in [0, 1, 6, usize::MAX] {
+            assert_eq!(HeightField { columns, ..field }.height_m(1.0, 2.0), None, "{columns}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use rigidformer_core::{Compliance, MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
+use rigidformer_core::{Compliance, HeightField, MAX_PIECES, MAX_PLANES, Physics, Plane, Role};
 use rigidformer_runtime::terrain::HeightFieldBuf;
 
 use super::check::{Tensors, elements};
@@ -415,6 +415,8 @@ impl FileHeightFields {
     pub(super) fn read(file: &Tensors<'_>, scenes: usize) -> Result<Self, SceneError> {
         let ([count, _], rows) = file.f32("height_fields", [None, Some(FIELD_NUMBERS)])?;
         let (_, heights) = file.f32("heights", [None])?;
+        // Once more, field by field.
+        file.count::<f32>("tensor heights", heights.len())?;
         file.count::<HeightFieldBuf>("tensor height_fields", count)?;
         let mut rest = heights.as_slice();
         let mut all = Vec::with_capacity(count);
@@ -434,19 +436,19 @@ impl FileHeightFields {
                 return bad("rows and columns that the tensor heights has numbers for");
             };
             rest = behind;
-            let field = HeightFieldBuf {
-                heights_m: own.into(),
+            let field = HeightField {
+                heights_m: own,
                 columns: columns as usize,
                 spacing_m: [dx, dy],
                 corner_m: Vector3::new(x, y, z),
                 friction,
                 restitution,
             };
-            if let Err(cause) = field.view().check() {
+            let copy = HeightFieldBuf::copy_of(&field).map_err(|cause| {
                 let name = format!("tensor height_fields, row {row}");
-                return Err(file.fail(name, Problem::BadHeightField(cause)));
-            }
-            all.push(field);
+                file.fail(name, Problem::BadHeightField(cause))
+            })?;
+            all.push(copy);
         }
         if !rest.is_empty() {
             let (found, expected) = (heights.len(), heights.len() - rest.len());

@@ -168,6 +168,99 @@ fn units_come_to_rest_above_ridges_peaks_and_in_ditches() {
 }
 
 #[test]
+fn large_units_lie_on_smooth_hills() {
+    // Of five metres, in cells of five centimetres: a box on its crest, and a ball over a corner of a cell.
+    let hill = ground(80, 0.05, |x, y| -(x * x + y * y) / 10.0);
+    for (points, height) in [(cuboid(0.5, 0.5, 0.5), 0.5), (ball(1.0), 1.0)] {
+        let mut world = world(&hill);
+        let id = world
+            .add(&Unit::new(&points, WOOD), &Isometry3::translation(0.0, 0.0, height + 0.02))
+            .unwrap();
+        for _ in 0..60 {
+            run(&mut world, 1);
+            let end = place(&world, id);
+            let on_crest = end.xy().norm() > 0.05 || (end.z - height).abs() < 0.02 + 2e-3;
+            assert!(on_crest && end.z > height - 0.02, "{end}");
+        }
+    }
+}
+
+#[test]
+fn units_on_gravel_touch_each_other_too() {
+    let gravel = |x: f32, y: f32| ((x * 917.3 + y * 331.7) as i32).rem_euclid(7) as f32 * 5e-4;
+    let mut world = world(&ground(80, 0.05, gravel));
+    let cube = cuboid(0.3, 0.3, 0.3);
+    let ids: Vec<_> = (0..4)
+        .map(|k| {
+            let start = Isometry3::translation(0.61 * k as f32 - 1.0, 0.0, 0.31);
+            world.add(&Unit::new(&cube, WOOD), &start).unwrap()
+        })
+        .collect();
+    run(&mut world, 30);
+    let velocity = Vector3::new(3.0, 0.0, 0.0);
+    world
+        .edit(|simulator| simulator.set_velocity(ids[0], &moving(velocity, Vector3::zeros())))
+        .unwrap();
+    for _ in 0..60 {
+        run(&mut world, 1);
+        let places: Vec<_> = ids.iter().map(|id| place(&world, *id)).collect();
+        assert!(places.windows(2).all(|pair| pair[1].x - pair[0].x > 0.59), "{places:?}");
+        assert!(places.iter().all(|place| place.z > 0.295), "{places:?}");
+    }
+    assert!(place(&world, ids[3]).x > 0.85, "the push went through");
+}
+
+#[test]
+fn borders_carry_and_what_is_far_below_is_let_be() {
+    // A slab on a square of one cell, and a box of which more than half is on it.
+    let square = ground(1, 1.0, |_, _| 0.5);
+    for (points, x) in [(cuboid(1.0, 1.0, 0.05), 0.0), (cuboid(0.5, 0.5, 0.05), 0.3)] {
+        let mut world = world(&square);
+        let id =
+            world.add(&Unit::new(&points, WOOD), &Isometry3::translation(x, 0.0, 0.57)).unwrap();
+        run(&mut world, 60);
+        let end = place(&world, id);
+        assert!((end.z - 0.55).abs() < 5e-3 && (end.x - x).abs() < 0.02, "{end}");
+    }
+    // A ball on a plane five metres under the field rolls there.
+    let mut world = world(&ground(8, 0.5, |_, _| 5.0));
+    world.set_planes(&[Plane::ground(0.7, 0.0)]).unwrap();
+    let id =
+        world.add(&Unit::new(&ball(0.2), WOOD), &Isometry3::translation(-2.5, 0.0, 0.2)).unwrap();
+    let velocity = Vector3::new(2.0, 0.0, 0.0);
+    world
+        .edit(|simulator| simulator.set_velocity(id, &moving(velocity, Vector3::zeros())))
+        .unwrap();
+    run(&mut world, 90);
+    let end = place(&world, id);
+    assert!(end.x > -1.0 && (end.z - 0.2).abs() < 1e-3, "{end}");
+}
+
+#[test]
+fn wide_fields_have_no_gaps_between_cells() {
+    // Thousands of columns of a centimetre: balls over corners and edges of far cells.
+    let columns = 8000;
+    let field = HeightFieldBuf {
+        heights_m: vec![0.0; 2 * columns].into(),
+        columns,
+        spacing_m: [0.01, 4.0],
+        corner_m: Vector3::new(0.0, -2.0, 0.0),
+        friction: 0.7,
+        restitution: 0.0,
+    };
+    let mut world = world(&field);
+    let small = ball(0.02);
+    let ids: Vec<_> = (0..8)
+        .map(|k| {
+            let x = 79.5 + 0.05 * k as f32 + 0.00125 * k as f32;
+            world.add(&Unit::new(&small, WOOD), &Isometry3::translation(x, 0.0, 0.021)).unwrap()
+        })
+        .collect();
+    run(&mut world, 60);
+    assert!(ids.iter().all(|id| (place(&world, *id).z - 0.02).abs() < 1e-4));
+}
+
+#[test]
 fn a_wall_stops_what_slides_into_it_and_what_leaves_the_field_falls() {
     let field = ground(200, 0.02, |x, _| if x > 0.5 { 0.3 } else { 0.0 });
     let ice = Physics { friction: 0.0, ..WOOD };

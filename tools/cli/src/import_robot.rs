@@ -3,15 +3,18 @@
 use std::path::PathBuf;
 
 use nalgebra::{Isometry3, Translation3};
+use rigidformer_core::Limits;
 use rigidformer_evaluation::scenes::{Dataset, SceneNotes};
 use rigidformer_robots::{
     LoadOptions, MeshSetOptions, Robot, RobotScene, SceneOptions, load_meshes, load_robot_with,
 };
+use rigidformer_runtime::engine::Engine;
+use rigidformer_runtime::futures::StartState;
 use serde_json::{Value, json};
 
 use crate::arguments::ImportRobot;
 use crate::usage::Usage;
-use crate::{interrupt, output};
+use crate::{defaults, interrupt, output};
 
 /// Notes that are said, at most.
 const MOST_NOTES: usize = 20;
@@ -20,9 +23,19 @@ pub(crate) fn run(arguments: &ImportRobot) -> anyhow::Result<()> {
     interrupt::watch();
     output::apart("--out", &arguments.out, [arguments.input.as_path()])?;
     check(arguments)?;
+    if let Some(state) = &arguments.state {
+        let others = [arguments.input.as_path(), arguments.out.as_path()];
+        output::apart("--state", state, others)?;
+        if let Some(model) = &arguments.model.path {
+            output::apart("--state", state, [model.as_path()])?;
+        }
+    }
     let robot = read(arguments)?;
     // Files that a robot names are known once it is read, and nothing is written yet.
     output::apart("--out", &arguments.out, robot.files.iter().map(PathBuf::as_path))?;
+    if let Some(state) = &arguments.state {
+        output::apart("--state", state, robot.files.iter().map(PathBuf::as_path))?;
+    }
     interrupt::check()?;
     let made = robot.scene(&scene_options(arguments)?)?;
     let notes = SceneNotes {
@@ -34,9 +47,22 @@ pub(crate) fn run(arguments: &ImportRobot) -> anyhow::Result<()> {
     // What another command would refuse is not written.
     let dataset = Dataset::from_bytes(arguments.out.clone(), bytes)?;
     dataset.scene(0, None)?;
+    let state = state(arguments, &made)?;
     interrupt::check()?;
     output::write_whole(&arguments.out, dataset.bytes())?;
-    told(arguments, &robot, &made, dataset.bytes().len())
+    if let (Some(path), Some(state)) = (&arguments.state, &state) {
+        output::write_whole(path, state.snapshot().as_bytes())?;
+    }
+    told(arguments, &robot, (&made, dataset.bytes().len()), state.as_ref())
+}
+
+/// The scene as a state, where one is asked for.
+fn state(arguments: &ImportRobot, made: &RobotScene) -> anyhow::Result<Option<StartState>> {
+    if arguments.state.is_none() {
+        return Ok(None);
+    }
+    let model = defaults::model(&arguments.model)?.for_host()?;
+    Ok(Some(made.world(Engine::new()?, &model)?.start()?))
 }
 
 fn check(arguments: &ImportRobot) -> Result<(), Usage> {
@@ -71,6 +97,11 @@ fn check(arguments: &ImportRobot) -> Result<(), Usage> {
         ("--balance", is_folder && arguments.balance, of_files),
         ("--fixed-base", is_folder && arguments.fixed_base, of_files),
         ("--density", !is_folder && arguments.density.is_some(), of_folders),
+        (
+            "--model",
+            arguments.state.is_none() && arguments.model.path.is_some(),
+            "is for --state; give both",
+        ),
         ("--scale", !is_folder && arguments.scale.is_some(), of_folders),
     ];
     if let Some((option, _, text)) = idle.into_iter().find(|(_, is_idle, _)| *is_idle) {
@@ -119,8 +150,8 @@ fn scene_options(arguments: &ImportRobot) -> anyhow::Result<SceneOptions> {
 fn told(
     arguments: &ImportRobot,
     robot: &Robot,
-    made: &RobotScene,
-    bytes: usize,
+    (made, bytes): (&RobotScene, usize),
+    state: Option<&StartState>,
 ) -> anyhow::Result<()> {
     let notes: Vec<&String> = robot.notes.iter().chain(&made.notes).collect();
     let joined = made.scene.pivots().len();
@@ -142,6 +173,12 @@ fn told(
             fields.insert("units".into(), units.collect());
             fields.insert("pivots".into(), joined.into());
             fields.insert("notes".into(), json!(notes));
+            if let Some(state) = state {
+                let Limits { units, points } = state.limits();
+                let bytes = state.snapshot().as_bytes().len();
+                let state = json!({ "bytes": bytes, "units": units, "points": points });
+                fields.insert("state".into(), state);
+            }
         }
         return output::json(&document);
     }
@@ -158,5 +195,14 @@ fn told(
         made.links.len(),
         robot.links.len(),
         robot.mass_kg(),
-    ))
+    ))?;
+    if let (Some(path), Some(state)) = (&arguments.state, state) {
+        let Limits { units, points } = state.limits();
+        let bytes = state.snapshot().as_bytes().len();
+        let path = path.display();
+        output::line(format_args!(
+            "{path}: for limits of {units} units and {points} points; {bytes} bytes"
+        ))?;
+    }
+    Ok(())
 }

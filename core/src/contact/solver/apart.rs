@@ -111,7 +111,7 @@ fn ways_out(
     (depth > 0.0).then(|| [way * -light_from, way * light_to])
 }
 
-/// Moves a unit, and then out of planes. That is no velocity.
+/// Moves a unit, and then out of planes; out of other ground the next step pushes it. That is no velocity.
 #[cfg_attr(rigidformer_dsp, inline(never))]
 fn shift(world: &World<'_>, number: usize, way: &Vector3<f32>, next: &mut [Next]) {
     let (Some(unit), Some(row)) = (world.units.get(number), next.get_mut(number)) else { return };

@@ -131,13 +131,13 @@ pub(super) struct World<'s> {
     #[cfg(feature = "robot")]
     pub(super) has_trees: bool,
     #[cfg(feature = "terrain")]
-    pub(super) terrain: Option<Terrain<'s>>,
+    pub(super) terrain: Option<MeasuredTerrain<'s>>,
 }
 
 /// Ground of varying height in the scene's measure.
 #[cfg(feature = "terrain")]
 #[derive(Clone, Copy)]
-pub(super) struct Terrain<'s> {
+pub(super) struct MeasuredTerrain<'s> {
     pub(super) surface: Surface<'s>,
     pub(super) highest: f32,
     pub(super) friction: f32,
@@ -145,14 +145,13 @@ pub(super) struct Terrain<'s> {
 }
 
 #[cfg(feature = "terrain")]
-impl<'s> Terrain<'s> {
+impl<'s> MeasuredTerrain<'s> {
     fn of(scene: &Scene<'s>) -> Option<Self> {
         let crate::scene::Terrain { field, highest_m, .. } = scene.terrain?;
-        let measure = &scene.measure;
-        let highest = (highest_m - measure.origin().z) / measure.length();
-        let surface = Surface::new(&field, measure);
+        let surface = Surface::new(&field, &scene.measure);
+        let highest = surface.highest(highest_m);
         let (friction, restitution) = (field.friction, field.restitution);
-        Some(Terrain { surface, highest, friction, restitution })
+        Some(MeasuredTerrain { surface, highest, friction, restitution })
     }
 }
 
@@ -215,7 +214,7 @@ impl<'s> World<'s> {
             #[cfg(feature = "robot")]
             has_trees: units.iter().any(|unit| unit.link.above.is_some()),
             #[cfg(feature = "terrain")]
-            terrain: Terrain::of(scene),
+            terrain: MeasuredTerrain::of(scene),
         }
         .finer()
         .with_trees()
@@ -363,7 +362,8 @@ impl<'s> World<'s> {
     #[cfg(rigidformer_host)]
     fn is_high(&self, centre: &Vector3<f32>, reach: f32) -> bool {
         #[cfg(feature = "terrain")]
-        if self.terrain.is_some_and(|terrain| centre.z - terrain.highest <= reach) {
+        // Also where the numbers are none.
+        if self.terrain.is_some_and(|terrain| !(centre.z - terrain.highest > reach)) {
             return false;
         }
         self.planes().iter().all(|plane| plane.height_here(centre) > reach)
@@ -507,6 +507,15 @@ impl<'s> World<'s> {
         }
     }
 
+    /// Whether a unit is near ground of varying height.
+    #[cfg(feature = "terrain")]
+    fn is_over_terrain(&self, unit: &UnitSlot) -> bool {
+        let (centre, radius) = (&unit.current.centre, 2.0 * unit.radius);
+        self.terrain.is_some_and(|terrain| {
+            centre.z - terrain.highest <= radius && terrain.surface.is_under(centre, radius)
+        })
+    }
+
     /// Slower units rest, m/s.
     pub(super) fn rest(&self, unit: &UnitSlot) -> f32 {
         let (slow, dt) = (REST * self.gravity_size * self.scene.dt, self.scene.dt);
@@ -519,7 +528,7 @@ impl<'s> World<'s> {
         let slow = slow + slow.min(ROUNDING * most / dt);
         // On uneven ground a unit stands on other points in each substep, and rocks a little.
         #[cfg(feature = "terrain")]
-        if self.terrain.is_some() {
+        if self.is_over_terrain(unit) {
             return ROCKING * slow;
         }
         slow

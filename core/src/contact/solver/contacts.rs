@@ -635,12 +635,13 @@ impl<'r> Contacts<'r> {
             return;
         }
         let visitor = Visitor {
-            ground: terrain.surface.from(&pose.centre),
+            terrain: terrain.surface.from(&pose.centre),
             radius: unit.radius,
             round: world.round(unit),
             way,
             margin,
             skin: world.skin(unit.radius),
+            dip: terrain.surface.least_dip(unit.radius),
         };
         let mut touches = Touches::new(unit.radius);
         for number in 0..world.pieces(unit) {

@@ -17,15 +17,16 @@ const WAYS: usize = 3;
 /// Cosine of 20 degrees: what pushes within that pushes one way.
 const ONE_WAY: f32 = 0.94;
 /// Of two unit vectors that are the same, less than 1 by this.
-const SAME_WAY: f32 = 1e-6;
+const PARALLEL: f32 = 1e-6;
 /// Touches closer together are one, and gaps that differ by less are the same, in radii.
 const SAME_PLACE: f32 = 1e-3;
 /// Touches that are no higher than this over the deepest touch now, in what are the same.
 const NEAR: f32 = 5.0;
 /// Of those, at most, one way.
-const TOUCHING: usize = 8;
-/// Edges behind which a face falls away by less do not stick out, in radii.
-const DIP: f32 = 1e-3;
+const TOUCHING: usize = 4;
+/// Contacts one way, at most, as with a plane; and of a unit: others need room too.
+const ONE_WAY_ROOM: usize = 5;
+const ROOM: usize = 8;
 /// Deeper points are pushed by the face that they are least deep under alone, in radii.
 const SHALLOW: f32 = 0.03;
 
@@ -51,7 +52,7 @@ impl Touch {
 /// A unit over the ground in a substep.
 pub(super) struct Visitor<'a> {
     /// As seen from the unit's centre.
-    pub(super) ground: Near<'a>,
+    pub(super) terrain: Near<'a>,
     pub(super) radius: f32,
     /// How far the unit is from its hull: see [`World::round`](super::bodies::World::round).
     pub(super) round: f32,
@@ -61,6 +62,8 @@ pub(super) struct Visitor<'a> {
     pub(super) margin: f32,
     /// What it keeps from edges.
     pub(super) skin: f32,
+    /// Edges behind which a face falls away by less do not stick out.
+    pub(super) dip: f32,
 }
 
 /// Where a unit touches.
@@ -100,56 +103,63 @@ impl Touches {
 
     /// Patches that stand for all, each with the way that it pushes: the deepest way first.
     pub(super) fn each_patch(mut self, mut act: impl FnMut(&Vector3<f32>, &Patch)) {
+        let mut left = ROOM;
         for _ in 0..WAYS {
             let deepest = self.all.iter().reduce(|a, b| if b.gap < a.gap { b } else { a });
             let Some(Touch { normal: lead, gap: least, .. }) = deepest.copied() else { return };
             let goes = |touch: &&Touch| dot(&touch.normal, &lead) > ONE_WAY;
-            let is_flat = |touch: &Touch| dot(&touch.normal, &lead) >= 1.0 - SAME_WAY;
-            if self.all.iter().filter(goes).all(is_flat) {
+            let is_flat = |touch: &Touch| dot(&touch.normal, &lead) >= 1.0 - PARALLEL;
+            let mut room = left.min(ONE_WAY_ROOM);
+            if room == ONE_WAY_ROOM && self.all.iter().filter(goes).all(is_flat) {
                 // As a plane.
                 let group = self.all.iter().filter(goes);
-                act(&lead, &patch::choose(group.map(|touch| (touch.point, touch.gap)), &lead));
+                let patch = patch::choose(group.map(|touch| (touch.point, touch.gap)), &lead);
+                left -= patch.points.len().min(left);
+                act(&lead, &patch);
             } else {
+                left -= room;
                 // What touches comes first, the deepest of it: on uneven ground that is not what is outermost, and what a unit stands
                 // on has to be there in each substep.
                 let most = least + NEAR * self.same;
+                let mut near = room.min(TOUCHING);
                 let mut last = f32::NEG_INFINITY;
-                let mut room = TOUCHING;
-                loop {
+                while near > 0 {
                     let next = |touch: &&Touch| touch.gap > last && touch.gap <= most;
                     let gaps = self.all.iter().filter(goes).filter(next).map(|touch| touch.gap);
                     last = gaps.fold(f32::INFINITY, f32::min);
-                    let own = self.all.iter().filter(goes).filter(|touch| touch.gap == last);
-                    for touch in own.take(room) {
-                        touch.alone(&mut act);
-                        room -= 1;
-                    }
-                    if last == f32::INFINITY || room == 0 {
+                    if last == f32::INFINITY {
                         break;
+                    }
+                    let own = self.all.iter().filter(goes).filter(|touch| touch.gap == last);
+                    for touch in own.take(near) {
+                        touch.alone(&mut act);
+                        (near, room) = (near - 1, room - 1);
                     }
                 }
                 let group = self.all.iter().filter(goes).filter(|touch| touch.gap > most);
-                each_alone(group, &lead, &mut act);
+                left += each_alone(group, (&lead, room), &mut act);
             }
             self.all.retain(|touch| !goes(&touch));
         }
     }
 }
 
-/// At most four of these touches, each a patch of its own.
+/// At most so many of these touches, and four, each a patch of its own. What room is left.
 fn each_alone<'t>(
     group: impl Iterator<Item = &'t Touch> + Clone,
-    lead: &Vector3<f32>,
+    (lead, mut room): (&Vector3<f32>, usize),
     act: &mut impl FnMut(&Vector3<f32>, &Patch),
-) {
+) -> usize {
     let chosen = patch::choose(group.clone().map(|touch| (touch.point, touch.gap)), lead);
-    for (point, gap) in chosen.points.iter().skip(usize::from(chosen.has_middle)) {
+    for (point, gap) in chosen.points.iter().skip(usize::from(chosen.has_middle)).take(room) {
         // It is one of them, to the bit.
         let is_it = |touch: &&Touch| touch.point == *point && touch.gap == *gap;
         if let Some(touch) = group.clone().find(is_it) {
             touch.alone(act);
+            room -= 1;
         }
     }
+    room
 }
 
 impl Visitor<'_> {
@@ -167,64 +177,85 @@ impl Visitor<'_> {
         for point in piece.points {
             let point = rotate(&pose.rotation, &point.coords);
             (low, high) = (low.inf(&point), high.sup(&point));
-            self.on_faces(&point, far, touches);
+            self.on_faces(&point, touches);
         }
-        let around = Vector3::repeat(self.round + far);
-        let (low, high) = (low - around, high + around);
-        let Some([rows, columns]) = self.ground.cells(&low, &high) else { return };
+        let (low, high) = self.swept(low, high);
+        let Some([rows, columns]) = self.terrain.cells(&low, &high) else { return };
         let middle = rotate(&pose.rotation, &piece.middle);
         let hull = Hull { points: piece.points, rotation: pose.rotation };
         for row in rows {
             for column in columns.clone() {
-                if self.ground.top(row, column) < low.z {
+                if self.terrain.top(row, column) < low.z {
                     continue;
                 }
-                for ridge in self.ground.ridges(row, column, DIP * self.radius) {
+                for ridge in self.terrain.ridges(row, column, self.dip) {
                     self.on_ridge(&ridge, (&hull, &middle, piece.radius), far, touches);
                 }
             }
         }
     }
 
+    /// The box that a box goes through in the substep, with all that it may touch.
+    fn swept(&self, low: Vector3<f32>, high: Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
+        let around = Vector3::repeat(self.round + self.margin);
+        let none = Vector3::zeros();
+        (low + self.way.inf(&none) - around, high + self.way.sup(&none) + around)
+    }
+
     /// Where a point of the hull, or the middle of a ball, is over or under faces.
-    fn on_faces(&self, point: &Vector3<f32>, far: f32, touches: &mut Touches) {
-        let around = Vector3::repeat(self.round + far);
-        let Some([rows, columns]) = self.ground.cells(&(point - around), &(point + around)) else {
-            return;
-        };
+    fn on_faces(&self, point: &Vector3<f32>, touches: &mut Touches) {
+        let (low, high) = self.swept(*point, *point);
+        let Some([rows, columns]) = self.terrain.cells(&low, &high) else { return };
         let touch = |normal: &Vector3<f32>, above: f32| Touch {
             point: point - normal * self.round,
             gap: above - self.round,
             normal: *normal,
         };
-        let mut least_deep: Option<Touch> = None;
-        let is_below = self.ground.face_below(point).filter(|face| face.above(point) < 0.0);
-        for row in rows {
-            for column in columns.clone() {
-                if self.ground.top(row, column) < point.z - around.z {
-                    continue;
-                }
-                for face in self.ground.faces(row, column) {
-                    let above = face.above(point);
-                    if above - self.round >= self.reach(&face.normal)
-                        || !face.has_foot_of(point, above)
-                        || (above < 0.0 && is_below.is_none())
-                    {
+        // What is deeper has not come from above.
+        let deepest = -(self.radius + norm(&self.way));
+        let below = self.terrain.face_below(point).filter(|face| {
+            let above = face.above(point);
+            above < 0.0 && above >= deepest
+        });
+        // Faces that the point is over, or under: of those it leaves by the one that it is least deep under.
+        let each = |act: &mut dyn FnMut(Touch, f32)| {
+            for row in rows.clone() {
+                for column in columns.clone() {
+                    if self.terrain.top(row, column) < low.z {
                         continue;
                     }
-                    let found = touch(&face.normal, above);
-                    if above >= -SHALLOW * self.radius {
-                        touches.add(found);
-                    }
-                    if above < 0.0 && least_deep.is_none_or(|least| found.gap > least.gap) {
-                        least_deep = Some(found);
+                    for face in self.terrain.faces(row, column) {
+                        let above = face.above(point);
+                        let is_there = above - self.round < self.reach(&face.normal)
+                            && above >= deepest
+                            && (above >= 0.0 || below.is_some())
+                            && face.has_foot_of(point, above);
+                        if is_there {
+                            act(touch(&face.normal, above), above);
+                        }
                     }
                 }
             }
-        }
-        if let Some(face) = is_below {
+        };
+        let mut least_deep: Option<Touch> = None;
+        if let Some(face) = &below {
+            each(&mut |found, above| {
+                if above < 0.0 && least_deep.is_none_or(|least| found.gap > least.gap) {
+                    least_deep = Some(found);
+                }
+            });
             // Under a ridge it may be under no face's normal.
-            let found = least_deep.unwrap_or_else(|| touch(&face.normal, face.above(point)));
+            least_deep = least_deep.or_else(|| Some(touch(&face.normal, face.above(point))));
+        }
+        each(&mut |found, above| {
+            // Not out of the other side of a thin wall.
+            let is_same_side =
+                least_deep.is_none_or(|least| dot(&least.normal, &found.normal) > 0.0);
+            if above >= 0.0 || (above >= -SHALLOW * self.radius && is_same_side) {
+                touches.add(found);
+            }
+        });
+        if let Some(found) = least_deep {
             touches.add(found);
         }
     }
@@ -243,9 +274,17 @@ impl Visitor<'_> {
         // The nearest place of the edge to the middle of a ball around the piece.
         let share = (dot(&(middle - centre), &half) / (length * length)).clamp(-1.0, 1.0);
         let nearest = centre + half * share;
-        if norm(&(nearest - middle)) > radius + self.round + far {
+        let near = radius + self.round + far;
+        if norm(&(nearest - middle)) > near {
             return;
         }
+        // No more of it than that ball can reach: of long edges f32 would lose digits.
+        let part = near / length;
+        let (first, last) = ((share - part).max(-1.0), (share + part).min(1.0));
+        let (centre, half) =
+            (centre + half * (0.5 * (first + last)), half * (0.5 * (last - first)));
+        let length = norm(&half);
+        let [start, end] = [centre - half, centre + half];
         // A plane over the edge, whichever of its ends is higher.
         let along = dot(&between, &start).max(dot(&between, &end));
         let lowest = dot(&hull.support(&-between), &between) - self.round;
@@ -260,7 +299,7 @@ impl Visitor<'_> {
         let met: Meeting =
             meeting(hulls, [0.0, self.round], (&apart, &(middle - centre), Some(between)), sizes);
         let (gap, normal) = (met.gap, met.normal);
-        if gap > self.reach(&normal) || !self.ground.sticks_out(ridge, &normal) {
+        if gap > self.reach(&normal) || !self.terrain.sticks_out(ridge, &normal) {
             return;
         }
         if self.round == 0.0

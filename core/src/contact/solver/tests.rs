@@ -103,6 +103,8 @@ impl World {
             points: &mut [],
             hulls: &mut self.points,
             planes: self.planes.iter().copied().collect(),
+            #[cfg(feature = "terrain")]
+            terrain: None,
             plane_compliance: OfCompliance::new(self.plane_compliance),
             measure: Measure::SI,
             second: OfForce::new(1.0),

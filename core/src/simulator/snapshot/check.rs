@@ -473,6 +473,9 @@ impl Simulator<'_, '_> {
             ensure(law.is_sound() && is_plain, HEAD + SCENE)?;
             ensure(limit_of(checked.words.word(HEAD + SCENE + 1)).is_some(), HEAD + SCENE + 1)?;
         }
+        if cfg!(not(feature = "terrain")) && checked.terrain_digest().is_some() {
+            return Err(SnapshotError::LeftOut);
+        }
         if cfg!(not(feature = "robot")) && checked.is_guided() {
             return Err(SnapshotError::LeftOut);
         }

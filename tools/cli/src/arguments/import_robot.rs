@@ -4,11 +4,15 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use super::Model;
+
 #[derive(Args)]
 #[command(after_help = "\
 FILE is a URDF or an MJCF file with its meshes (STL, OBJ, COLLADA, MSH), or a folder of meshes, each a unit of its own. SDF and USD are
 refused. Each link with a shape and a mass becomes a unit: points on its surface, mass, moments of inertia, convex pieces. Links of one
 robot have one body number. The scene has two frames, both with the robot at rest. Its metadata robot_joints has the joints.
+
+A state of --state is for the model of --model, edge unless told otherwise, and for limits of as many units and points as it says.
 
 Meshes are read from the folders of FILE, up to four above it, ROS_PACKAGE_PATH, and --package-path.
 
@@ -16,6 +20,7 @@ Examples:
   rigidformer import-robot arm.urdf --out arm.safetensors
   rigidformer import-robot arm.urdf --package-path ros/src --merge-fixed --fixed-base --out arm.safetensors
   rigidformer import-robot humanoid.xml --points 64 --principal --out humanoid.safetensors --json
+  rigidformer import-robot arm.urdf --fixed-base --out arm.safetensors --state arm.state --model edge-i8.rfm
   rigidformer import-robot parts/ --scale .001 --density 2700 --out parts.safetensors")]
 pub(crate) struct ImportRobot {
     /// URDF, MJCF, or a folder of meshes
@@ -24,6 +29,11 @@ pub(crate) struct ImportRobot {
     /// Scene file to write
     #[arg(long, value_name = "FILE")]
     pub(crate) out: PathBuf,
+    /// The scene with its joints as a state too, which rf_load of C and World::restore of Rust take
+    #[arg(long, value_name = "FILE")]
+    pub(crate) state: Option<PathBuf>,
+    #[command(flatten)]
+    pub(crate) model: Model,
     /// Folder of a package, or of packages, for package://; may be given more than once
     #[arg(long, value_name = "FOLDER")]
     pub(crate) package_path: Vec<PathBuf>,

@@ -64,6 +64,23 @@ fn a_robot_is_written_and_inspected() {
 }
 
 #[test]
+fn a_state_has_the_size_that_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let [arm, ..] = files(folder.path());
+    let (out, state) = (folder.path().join("arm.safetensors"), folder.path().join("arm.state"));
+    let arguments = ["import-robot", path(&arm), "--out", path(&out), "--state", path(&state)];
+    let json: Value =
+        serde_json::from_str(&works(&[&arguments[..], &["--json"]].concat())).unwrap();
+    assert_eq!(json["state"]["bytes"].as_u64(), Some(fs::metadata(&state).unwrap().len()));
+    assert_eq!(json["state"]["units"], 2);
+    assert!(works(&arguments).contains("limits of 2 units and "));
+    fails(&[&arguments[..4], &["--model", "edge.rfm"]].concat(), 2, "--state; give both");
+    fails(&[&arguments[..5], &[path(&out)]].concat(), 2, "--state");
+    fails(&[&arguments[..5], &[path(&arm)]].concat(), 2, "--state");
+    fails(&[&arguments[..], &["--model", "none.rfm"]].concat(), 1, "none.rfm");
+}
+
+#[test]
 fn what_is_read_is_not_written_over() {
     let folder = tempfile::tempdir().unwrap();
     let files = files(folder.path());

@@ -457,10 +457,11 @@ mod tests {
             80, 81, 82, 83, 84, 85, 86, 87, 88, 89, 90, 91, 92, 93, // changes of the scene
             94, 95, // health
             96, 97, 98, // step
-            104, 105, 106, 107, // state
+            104, 105, 106, 107, 108, // state
+            110, // no height fields
             112, 113, 114, // command, velocity
             115, 116, 117, // compliance
-            118, // contact law
+            118, 119, // contact law, height field
             120, 121, 122, 123, 124, 125, 126, // bonds
             127,
         ];

@@ -10,6 +10,8 @@ use crate::contact::pieces::Piece;
 use crate::geometry::{Hull, Pose, dot, norm, rotate};
 use nalgebra::{Matrix3, Point3, Vector3};
 
+/// Edges that a piece is compared with, at most: the nearest ones.
+const RIDGES: usize = 16;
 /// Touches of a unit that are kept: the deepest.
 const TOUCHES: usize = 64;
 /// Ways that the ground pushes a unit, at most: floor, wall and wall of a corner.
@@ -64,6 +66,32 @@ pub(super) struct Visitor<'a> {
     pub(super) skin: f32,
     /// Edges behind which a face falls away by less do not stick out.
     pub(super) dip: f32,
+}
+
+/// A convex piece of it, and how far that reaches.
+struct Reach<'a> {
+    hull: Hull<'a>,
+    /// Of a ball around the piece.
+    middle: Vector3<f32>,
+    radius: f32,
+    /// How far beyond it something may touch it in the substep.
+    far: f32,
+    /// Out of the ground below its middle.
+    up: Vector3<f32>,
+    /// How low it is along that.
+    lowest: f32,
+}
+
+/// Of an edge the place that is nearest to another, and the middle and the half of what is no farther than this from that place.
+fn part_of(ridge: &Ridge, place: &Vector3<f32>, most: f32) -> [Vector3<f32>; 3] {
+    let [start, end] = &ridge.ends;
+    let (half, centre) = ((end - start) * 0.5, (start + end) * 0.5);
+    let length = norm(&half);
+    let share = (dot(&(place - centre), &half) / (length * length)).clamp(-1.0, 1.0);
+    let part = most / length;
+    let (first, last) = ((share - part).max(-1.0), (share + part).min(1.0));
+    let middle = centre + half * (0.5 * (first + last));
+    [centre + half * share, middle, half * (0.5 * (last - first))]
 }
 
 /// Where a unit touches.
@@ -183,16 +211,35 @@ impl Visitor<'_> {
         let Some([rows, columns]) = self.terrain.cells(&low, &high) else { return };
         let middle = rotate(&pose.rotation, &piece.middle);
         let hull = Hull { points: piece.points, rotation: pose.rotation };
+        let up = self.terrain.face_below(&middle).map_or_else(Vector3::z, |face| face.normal);
+        let reach =
+            Reach { hull, middle, radius: piece.radius, far, up, lowest: self.lowest(&hull, &up) };
+        let mut nearest = heapless::Vec::<(f32, Ridge), RIDGES>::new();
         for row in rows {
             for column in columns.clone() {
                 if self.terrain.top(row, column) < low.z {
                     continue;
                 }
                 for ridge in self.terrain.ridges(row, column, self.dip) {
-                    self.on_ridge(&ridge, (&hull, &middle, piece.radius), far, touches);
+                    let Some(least) = self.least_gap(&ridge, &reach) else { continue };
+                    if let Err(found) = nearest.push((least, ridge)) {
+                        let farthest =
+                            nearest.iter_mut().reduce(|a, b| if b.0 > a.0 { b } else { a });
+                        if let Some(farthest) = farthest.filter(|farthest| farthest.0 > found.0) {
+                            *farthest = found;
+                        }
+                    }
                 }
             }
         }
+        for (_, ridge) in &nearest {
+            self.on_ridge(ridge, &reach, touches);
+        }
+    }
+
+    /// How far a hull, grown by what makes the unit round, reaches against a direction.
+    fn lowest(&self, hull: &Hull<'_>, up: &Vector3<f32>) -> f32 {
+        dot(&hull.support(&-up), up) - self.round
     }
 
     /// The box that a box goes through in the substep, with all that it may touch.
@@ -260,42 +307,36 @@ impl Visitor<'_> {
         }
     }
 
+    /// A gap that an edge has to the hull at least; none where that does not close.
+    fn least_gap(&self, ridge: &Ridge, reach: &Reach<'_>) -> Option<f32> {
+        let Reach { middle, radius, far, .. } = reach;
+        let [nearest, _, _] = part_of(ridge, middle, 0.0);
+        let apart = norm(&(nearest - middle)) - self.round;
+        if apart > radius + far {
+            return None;
+        }
+        if self.round > 0.0 {
+            return Some(apart);
+        }
+        let [start, end] = &ridge.ends;
+        let highest = |up: &Vector3<f32>| dot(up, start).max(dot(up, end));
+        let between = ridge.middle_normal();
+        let along = self.lowest(&reach.hull, &between) - highest(&between);
+        let above = reach.lowest - highest(&reach.up);
+        (along <= self.reach(&between) && above <= self.reach(&reach.up)).then(|| along.max(above))
+    }
+
     /// Where an edge that sticks out meets the hull.
-    fn on_ridge(
-        &self,
-        ridge: &Ridge,
-        (hull, middle, radius): (&Hull<'_>, &Vector3<f32>, f32),
-        far: f32,
-        touches: &mut Touches,
-    ) {
-        let ([start, end], between) = (ridge.ends, ridge.middle_normal());
-        let (half, centre) = ((end - start) * 0.5, (start + end) * 0.5);
-        let length = norm(&half);
-        // The nearest place of the edge to the middle of a ball around the piece.
-        let share = (dot(&(middle - centre), &half) / (length * length)).clamp(-1.0, 1.0);
-        let nearest = centre + half * share;
-        let near = radius + self.round + far;
-        if norm(&(nearest - middle)) > near {
-            return;
-        }
-        // No more of it than that ball can reach: of long edges f32 would lose digits.
-        let part = near / length;
-        let (first, last) = ((share - part).max(-1.0), (share + part).min(1.0));
-        let (centre, half) =
-            (centre + half * (0.5 * (first + last)), half * (0.5 * (last - first)));
-        let length = norm(&half);
-        let [start, end] = [centre - half, centre + half];
-        // A plane over the edge, whichever of its ends is higher.
-        let along = dot(&between, &start).max(dot(&between, &end));
-        let lowest = dot(&hull.support(&-between), &between) - self.round;
-        if lowest - along > self.reach(&between) {
-            return;
-        }
+    fn on_ridge(&self, ridge: &Ridge, reach: &Reach<'_>, touches: &mut Touches) {
+        let Reach { hull, middle, radius, far, .. } = reach;
+        // No more of it than a ball around the piece can reach: of long edges f32 would lose digits.
+        let [_, centre, half] = part_of(ridge, middle, radius + self.round + far);
+        let (length, between) = (norm(&half), ridge.middle_normal());
         let ends = [Point3::from(-half), Point3::from(half)];
         let edge = Hull { points: &ends, rotation: Matrix3::identity() };
         let apart = -centre;
         let hulls = [&edge, hull];
-        let sizes = [self.radius, self.radius + length, far];
+        let sizes = [self.radius, self.radius + length, *far];
         let met: Meeting =
             meeting(hulls, [0.0, self.round], (&apart, &(middle - centre), Some(between)), sizes);
         let (gap, normal) = (met.gap, met.normal);

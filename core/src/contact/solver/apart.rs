@@ -2,7 +2,8 @@
 //! substep takes to the first order.
 
 use super::bodies::{Touched, World};
-use super::contacts::{Contact, Held, Meeting, between, gap_along, meeting};
+use super::contacts::{Contact, Held, between};
+use super::meeting::{Meeting, gap_along, meeting};
 use super::{carve, contacts_of};
 use crate::contact::ground::Plane;
 use crate::geometry::{Hull, Pose, STATE, State, dot, rotate_back};

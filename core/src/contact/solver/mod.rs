@@ -10,6 +10,7 @@ mod apart;
 mod bodies;
 mod contacts;
 mod impulses;
+mod meeting;
 mod patch;
 #[cfg(feature = "terrain")]
 mod terrain;
@@ -145,7 +146,7 @@ fn in_substeps<S: Schedule>(
     bodies.begin(world);
     trees.begin(world, bodies);
     #[cfg(rigidformer_host)]
-    let left_out = bodies.range(world, contacts::FACE, may_rest);
+    let left_out = bodies.range(world, meeting::FACE, may_rest);
     #[cfg(not(rigidformer_host))]
     let _ = may_rest;
     let step = world;
@@ -156,7 +157,7 @@ fn in_substeps<S: Schedule>(
         bodies.begin_substep(world);
         #[cfg(rigidformer_host)]
         {
-            bodies.enclose(world, contacts::FACE);
+            bodies.enclose(world, meeting::FACE);
             if !bodies.are_in_range() {
                 // Some units were left out on the word of ranges that do not hold.
                 if left_out.is_some() {

@@ -3,7 +3,7 @@
 //! A face pushes along its normal alone, so that what slides over the edge between two level faces is not stopped by it. An edge
 //! or a corner pushes where it sticks out, in the directions that are nearest to it.
 
-use super::contacts::{Meeting, meeting, touching};
+use super::meeting::{Meeting, meeting, touching};
 use super::patch::{self, Patch};
 use crate::contact::height_field::{Near, Ridge};
 use crate::contact::pieces::Piece;

@@ -362,8 +362,8 @@ impl<'s> World<'s> {
     #[cfg(rigidformer_host)]
     fn is_high(&self, centre: &Vector3<f32>, reach: f32) -> bool {
         #[cfg(feature = "terrain")]
-        // Also where the numbers are none.
-        if self.terrain.is_some_and(|terrain| !(centre.z - terrain.highest > reach)) {
+        let is_near = |above: f32| above <= reach || above.is_nan();
+        if self.terrain.is_some_and(|terrain| is_near(centre.z - terrain.highest)) {
             return false;
         }
         self.planes().iter().all(|plane| plane.height_here(centre) > reach)

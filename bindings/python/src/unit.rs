@@ -491,6 +491,11 @@ impl HeightField {
     /// -------
     /// float or None
     ///     Metres; None beyond the borders.
+    ///
+    /// Raises
+    /// ------
+    /// TypeError
+    ///     A place is no number.
     fn height_m(&self, x_m: f32, y_m: f32) -> Option<f32> {
         self.field.view().height_m(x_m, y_m)
     }

@@ -679,7 +679,7 @@ pub enum SnapshotError {
     OtherModel,
     /// A snapshot of a scene on another height field, or on none.
     #[error(
-        "the snapshot is of a scene on another height field, or on none: set that one first (set_height_field)"
+        "the snapshot is of a scene on another height field, or on none: put the scene on that one first"
     )]
     OtherHeightField,
     /// A part that this build leaves out: joints, soft units, bonds, a height field, or units in quarantine.
